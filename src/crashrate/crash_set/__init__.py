@@ -1,0 +1,1 @@
+"""Which situations crash: risk order, monotone set, surrogate."""

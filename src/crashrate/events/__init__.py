@@ -1,0 +1,1 @@
+"""Recorded encounters: tables of events and their readers."""

@@ -1,0 +1,1 @@
+"""How often each situation occurs: truncated normals, the mixture fit, the traffic model."""
