@@ -22,7 +22,7 @@ class ExpressionError(InvalidInputError):
 
 
 class CallOrderError(CrashrateError, RuntimeError):
-    """Methods were called in the wrong order (``tell`` before ``ask``, ``sample`` before ``fit``)."""
+    """Methods were called in the wrong order, such as ``tell`` before ``ask``."""
 
 
 class NumericalError(CrashrateError, ArithmeticError):
