@@ -1,0 +1,53 @@
+"""What can be wrong with an estimate, and why a campaign stopped: values that are messages."""
+
+from enum import StrEnum
+
+
+class Alarm(StrEnum):
+    """A named doubt about an estimate; the value is what a person reads."""
+
+    NO_CRASH_FOUND = (
+        "no crash was found: the interval's upper end comes from random encounters alone, "
+        "and is far above any rare probability"
+    )
+    TOO_FEW_CRASHES = (
+        "the estimate rests on fewer than ten simulated crashes: the interval's normal "
+        "approximation is not to be trusted"
+    )
+    WEIGHTS_CONCENTRATED = (
+        "one simulator run moves the estimate by more than a quarter: the next run may move it "
+        "as much"
+    )
+    SCATTER_BEYOND_PREDICTION = (
+        "the rounds scatter more than predicted: the interval was widened by the scatter seen"
+    )
+    ORDER_CONTRADICTED = (
+        "some outcomes contradict the declared risk order: they imply nothing about other "
+        "situations, and the bounds P(inner), P(outer) hold only where the order does"
+    )
+    ORDER_DROPPED = (
+        "too many outcomes contradict the declared risk order: it was dropped and the estimation "
+        "started again without it"
+    )
+    NO_ORDER = (
+        "no risk order is in use: crash regions that no run came near are taken as safe, and "
+        "the bounds say nothing"
+    )
+    UNDECIDED_MASS_LARGE = (
+        "situations that no outcome decides carry more than fifty times the estimate: the bounds "
+        "are far apart"
+    )
+    SIMULATIONS_FAILED = (
+        "some simulations failed: the interval holds with each of them counted as a crash and as "
+        "safe"
+    )
+    TARGET_NOT_REACHED = "the target was not reached before the budget ended"
+
+
+class StopReason(StrEnum):
+    """Why a campaign asks for no more simulator runs, or that it still does."""
+
+    RUNNING = "not finished"
+    TARGET_MET = "the target was met"
+    BUDGET_ENDED = "the budget of simulator runs ended"
+    IMPOSSIBLE = "nothing is left to simulate: every situation is decided"

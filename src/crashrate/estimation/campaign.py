@@ -1,0 +1,257 @@
+"""The campaign: ask for situations, tell their outcomes, estimate. The one class with state."""
+
+from collections.abc import Callable, Generator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crashrate.crash_set.order import RiskOrder
+from crashrate.errors import CallOrderError, InvalidInputError
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.estimate import Estimate, HistoryPoint
+from crashrate.estimation.strategy import Method, Problem, Query, Snapshot
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray, nearest
+
+MIN_CRASHES = 10
+
+
+def _sequential(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
+    from crashrate.estimation.sequential import sequential
+
+    return sequential(problem)
+
+
+def _huang2017(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
+    from crashrate.estimation.huang2017 import huang2017
+
+    return huang2017(problem)
+
+
+METHODS: Mapping[str, Method] = {"sequential": _sequential, "huang2017": _huang2017}
+
+
+class Campaign:
+    """Ask for situations, tell their outcomes, until the estimate is tight enough.
+
+    Parameters
+    ----------
+    traffic : TrafficModel
+        How often each situation occurs.
+    risk : mapping or None
+        Which way is riskier: a variable's name, or a derived coordinate given as
+        ``name: (function, direction)``, to "increasing" or "decreasing". None claims nothing.
+    seed : int
+        The campaign is a function of the configuration, the seed and the outcomes.
+    relative_half_width : float
+        Target: half the interval over the estimate.
+    max_calls : int
+        Budget of simulator runs.
+    confidence : float
+        Level of the interval.
+    method : {"sequential", "huang2017"}
+        The campaign of docs/method.md, or the procedure of the 2017 paper.
+    batch_size : int
+        Simulator runs asked for at a time.
+
+    Raises
+    ------
+    InvalidInputError
+        If an argument is not as described.
+
+    Examples
+    --------
+    >>> campaign = Campaign(traffic, risk={"v_lead": "decreasing"}, seed=0)  # doctest: +SKIP
+    >>> while not campaign.done:  # doctest: +SKIP
+    ...     campaign.tell(simulate(campaign.ask()))
+    >>> campaign.estimate().interval  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        traffic: TrafficModel,
+        *,
+        risk: Mapping[str, Any] | None = None,
+        seed: int = 0,
+        relative_half_width: float = 0.1,
+        max_calls: int = 2000,
+        confidence: float = 0.95,
+        method: str = "sequential",
+        batch_size: int = 10,
+    ) -> None:
+        if method not in METHODS:
+            raise InvalidInputError(
+                f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
+            )
+        order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
+        self._problem = Problem(
+            traffic=traffic,
+            order=order,
+            relative_half_width=relative_half_width,
+            max_calls=max_calls,
+            confidence=confidence,
+            batch_size=batch_size,
+            seed=seed,
+        )
+        self._method = method
+        self._steps = METHODS[method](self._problem)
+        self._pending: FloatArray | None = None
+        self._snapshot = Snapshot()
+        self._asked: list[FloatArray] = []
+        self._told: list[FloatArray] = []
+        self._history: list[HistoryPoint] = []
+        self._taken = False
+
+    @property
+    def problem(self) -> Problem:
+        """What is asked: traffic model, risk order, target and budget."""
+        return self._problem
+
+    @property
+    def method(self) -> str:
+        """The name of the method."""
+        return self._method
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What the method knows now, the learned set included."""
+        return self._snapshot
+
+    @property
+    def done(self) -> bool:
+        """Whether no more situations will be asked for."""
+        self._start()
+        return self._pending is None
+
+    @property
+    def n_calls(self) -> int:
+        """Simulator runs told so far."""
+        return sum(len(y) for y in self._told)
+
+    @property
+    def x(self) -> FloatArray:
+        """Situations simulated so far, shape (n_calls, d)."""
+        return np.concatenate([np.empty((0, self._problem.traffic.n_variables)), *self._asked])
+
+    @property
+    def outcomes(self) -> FloatArray:
+        """Their outcomes, shape (n_calls,): 1 crash, 0 safe, NaN failed."""
+        return np.concatenate([np.empty(0), *self._told])
+
+    def ask(self) -> FloatArray:
+        """The next situations to simulate, shape (n, d) in the traffic model's variables.
+
+        Raises
+        ------
+        CallOrderError
+            If the outcomes of the last ones were not told, or the campaign is done.
+        """
+        self._start()
+        if self._pending is None:
+            raise CallOrderError(
+                f"ask: the campaign is done ({self._snapshot.stop_reason}); "
+                "read campaign.estimate()."
+            )
+        if self._taken:
+            raise CallOrderError(
+                f"ask: expected the outcomes of the last {len(self._pending)} situations first; "
+                "call campaign.tell(outcomes)."
+            )
+        self._taken = True
+        return self._pending.copy()
+
+    def tell(self, outcomes: npt.ArrayLike) -> None:
+        """Take the outcomes of the situations asked for: True or 1 a crash, False or 0 safe.
+
+        Parameters
+        ----------
+        outcomes : array_like, shape (n,)
+            In the order of `ask`. NaN says that the simulation failed: never "safe".
+
+        Raises
+        ------
+        CallOrderError
+            If nothing was asked.
+        InvalidInputError
+            If there is not one outcome per situation, or one is not 0, 1 or NaN.
+        """
+        if self._pending is None or not self._taken:
+            raise CallOrderError("tell: nothing was asked; call campaign.ask() first.")
+        y = _outcomes(outcomes, len(self._pending))
+        self._asked.append(self._pending)
+        self._told.append(y)
+        self._taken = False
+        self._advance(lambda: self._steps.send(y))
+        self._history.append(self._history_point())
+
+    def estimate(self) -> Estimate:
+        """The estimate as it stands."""
+        s, y = self._snapshot, self.outcomes
+        n_crashes = int(np.count_nonzero(y == 1))
+        return Estimate(
+            probability=s.probability,
+            interval=s.interval,
+            confidence=self._problem.confidence,
+            standard_error=s.standard_error,
+            bounds=s.bounds,
+            n_calls=len(y),
+            n_crashes=n_crashes,
+            n_failed=int(np.count_nonzero(np.isnan(y))),
+            n_eff=s.n_eff,
+            largest_weight_share=s.largest_weight_share,
+            log_efficiency=s.log_efficiency,
+            alarms=_alarms(s, y, n_crashes),
+            stop_reason=s.stop_reason,
+            method=self._method,
+            seed=self._problem.seed,
+            history=tuple(self._history),
+        )
+
+    def _start(self) -> None:
+        if self._pending is None and not self._told and self._running():
+            self._advance(lambda: next(self._steps))
+
+    def _running(self) -> bool:
+        return self._snapshot.stop_reason is StopReason.RUNNING
+
+    def _advance(self, step: Callable[[], Query]) -> None:
+        # One BLAS thread: the same bits whatever the machine's load, and faster on small matrices.
+        from threadpoolctl import threadpool_limits
+
+        try:
+            with threadpool_limits(limits=1):
+                query = step()
+        except StopIteration as end:
+            self._pending, self._snapshot = None, end.value
+        else:
+            self._pending, self._snapshot = query.x, query.snapshot
+
+    def _history_point(self) -> HistoryPoint:
+        s = self._snapshot
+        return HistoryPoint(self.n_calls, s.probability, *s.interval, s.phase)
+
+
+def _outcomes(outcomes: npt.ArrayLike, n: int) -> FloatArray:
+    y = np.asarray(outcomes, dtype=np.float64)
+    if y.shape != (n,):
+        raise InvalidInputError(
+            f"tell: expected {n} outcomes, one per situation asked for, got shape {y.shape}."
+        )
+    bad = np.flatnonzero(~(np.isnan(y) | (y == 0) | (y == 1)))
+    if len(bad):
+        raise InvalidInputError(
+            f"tell: expected True, False or NaN (failed), got {y[bad[0]]} at row {bad[0]}."
+        )
+    return y
+
+
+def _alarms(s: Snapshot, y: FloatArray, n_crashes: int) -> tuple[Alarm, ...]:
+    found = list(s.alarms)
+    if np.isnan(y).any():
+        found.append(Alarm.SIMULATIONS_FAILED)
+    if 0 < n_crashes < MIN_CRASHES and np.isfinite(s.probability):
+        found.append(Alarm.TOO_FEW_CRASHES)
+    if s.stop_reason is StopReason.BUDGET_ENDED:
+        found.append(Alarm.TARGET_NOT_REACHED)
+    return tuple(dict.fromkeys(found))

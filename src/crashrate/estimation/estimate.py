@@ -1,0 +1,151 @@
+"""The answer of a campaign: a probability, its interval and the evidence, as one frozen value."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from crashrate.estimation.alarms import Alarm, StopReason
+
+SCHEMA = "crashrate.result/1"
+
+
+@dataclass(frozen=True)
+class HistoryPoint:
+    """The estimate as it stood after `n_calls` simulator runs."""
+
+    n_calls: int
+    probability: float
+    lower: float
+    upper: float
+    phase: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A crash probability with its interval and the evidence for both.
+
+    Parameters
+    ----------
+    probability : float
+        Of a crash in one encounter; NaN before there is an estimate.
+    interval : (float, float)
+        Confidence interval for `probability`, at level `confidence`.
+    confidence : float
+        0.95 unless asked otherwise.
+    standard_error : float
+        Of `probability`.
+    bounds : (float, float)
+        P(inner) ≤ p ≤ P(outer): hold if the risk order is exact; (0, 1) without one.
+    n_calls, n_crashes, n_failed : int
+        Simulator runs, those that crashed, those that failed.
+    n_eff : float
+        Number of equally weighted crashes that would be as precise.
+    largest_weight_share : float
+        Share of the estimate that hangs on the most influential simulator run.
+    log_efficiency : float
+        log E[Z²] / log E[Z] for one run's contribution Z: 2 at best, 1 for crude Monte Carlo.
+    alarms : tuple of Alarm
+        Named doubts; empty when there are none.
+    stop_reason : StopReason
+    method : str
+    seed : int
+    history : tuple of HistoryPoint
+        The estimate after every batch.
+    """
+
+    probability: float
+    interval: tuple[float, float]
+    confidence: float
+    standard_error: float
+    bounds: tuple[float, float]
+    n_calls: int
+    n_crashes: int
+    n_failed: int
+    n_eff: float
+    largest_weight_share: float
+    log_efficiency: float
+    alarms: tuple[Alarm, ...]
+    stop_reason: StopReason
+    method: str
+    seed: int
+    history: tuple[HistoryPoint, ...]
+
+    @property
+    def half_width(self) -> float:
+        """Half the length of the interval."""
+        return (self.interval[1] - self.interval[0]) / 2
+
+    @property
+    def relative_half_width(self) -> float:
+        """Half the length of the interval over the estimate; infinite where that is 0 or NaN."""
+        return self.half_width / self.probability if self.probability > 0 else math.inf
+
+    @property
+    def crude_monte_carlo_calls(self) -> float:
+        """Crude Monte Carlo runs that give the same half-width (paper, §VI: std of the mean)."""
+        if not self.probability > 0 or self.half_width == 0:
+            return math.inf
+        from scipy.special import ndtri
+
+        z = float(ndtri(0.5 + self.confidence / 2))
+        return z**2 * self.probability * (1 - self.probability) / self.half_width**2
+
+    @property
+    def acceleration(self) -> float:
+        """Crude Monte Carlo runs that each simulator run replaces."""
+        return self.crude_monte_carlo_calls / self.n_calls if self.n_calls else math.nan
+
+    def sentence(self, event: str = "crash", per: str = "lane change") -> str:
+        """The answer in one sentence."""
+        low, high = self.interval
+        head = f"P({event}) = {self.probability:.1e} per {per}"
+        if not self.probability > 0:
+            head = f"P({event}) is not determined: no {event} was seen"
+        return (
+            f"{head}, {100 * self.confidence:g} % interval [{low:.1e}, {high:.1e}]"
+            f"{self._relative()}; {self.n_calls} simulator runs{self._crude()}"
+        )
+
+    def _relative(self) -> str:
+        relative = self.relative_half_width
+        return f" (± {100 * relative:.0f} %)" if math.isfinite(relative) else ""
+
+    def _crude(self) -> str:
+        calls = self.crude_monte_carlo_calls
+        if not math.isfinite(calls):
+            return ""
+        return f"; crude Monte Carlo would need {in_words(calls)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The estimate as JSON-ready values; numbers that are not finite become None."""
+        record = asdict(self) | {
+            "schema": SCHEMA,
+            "relative_half_width": self.relative_half_width,
+            "crude_monte_carlo_calls": self.crude_monte_carlo_calls,
+            "acceleration": self.acceleration,
+            "alarms": [{"name": a.name, "message": a.value} for a in self.alarms],
+            "stop_reason": self.stop_reason.value,
+        }
+        return {key: _json_ready(value) for key, value in record.items()}
+
+
+def in_words(number: float) -> str:
+    """A large count with two significant digits: ``190 million``, ``43,000``."""
+    for size, word in ((1e12, "trillion"), (1e9, "billion"), (1e6, "million")):
+        if number >= size:
+            return f"{_two_digits(number / size):,g} {word}"
+    return f"{_two_digits(number):,.0f}"
+
+
+def _two_digits(number: float) -> float:
+    return float(f"{number:.2g}")
+
+
+def _json_ready(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: _json_ready(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json_ready(v) for v in value]
+    return value

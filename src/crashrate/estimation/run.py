@@ -1,0 +1,62 @@
+"""The easy call: a loop over a campaign's ask and tell."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy.typing as npt
+
+from crashrate.estimation.campaign import Campaign
+from crashrate.estimation.estimate import Estimate
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray
+
+
+def estimate(
+    simulate: Callable[[FloatArray], npt.ArrayLike],
+    traffic: TrafficModel,
+    *,
+    risk: Mapping[str, Any] | None = None,
+    relative_half_width: float = 0.1,
+    max_calls: int = 2000,
+    confidence: float = 0.95,
+    method: str = "sequential",
+    batch_size: int = 10,
+    seed: int = 0,
+    on_batch: Callable[[Campaign], None] | None = None,
+) -> Estimate:
+    """The probability that `simulate` crashes in traffic.
+
+    Parameters
+    ----------
+    simulate : callable
+        Takes situations of shape (n, d) in the traffic model's variables and returns n outcomes:
+        True or 1 a crash, False or 0 safe, NaN a failed simulation.
+    traffic, risk, relative_half_width, max_calls, confidence, method, batch_size, seed
+        As of `Campaign`.
+    on_batch : callable, optional
+        Called with the campaign after every batch, for progress.
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    InvalidInputError
+        If an argument is not as described, or `simulate` returns something else.
+    """
+    campaign = Campaign(
+        traffic,
+        risk=risk,
+        seed=seed,
+        relative_half_width=relative_half_width,
+        max_calls=max_calls,
+        confidence=confidence,
+        method=method,
+        batch_size=batch_size,
+    )
+    while not campaign.done:
+        campaign.tell(simulate(campaign.ask()))
+        if on_batch is not None:
+            on_batch(campaign)
+    return campaign.estimate()

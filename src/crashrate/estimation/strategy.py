@@ -1,0 +1,117 @@
+"""The seam between a campaign and its methods.
+
+A method is a generator: it yields a `Query` (situations to simulate, and what it knows so far),
+receives the outcomes of those situations, and returns its last `Snapshot`. All its state is local,
+so that a campaign is a function of (configuration, seed, outcomes) and resume is replay.
+"""
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from crashrate.crash_set.monotone_set import MonotoneSet
+from crashrate.crash_set.order import RiskOrder
+from crashrate.errors import InvalidInputError
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """What is asked: a traffic model, a risk order, a target and a budget.
+
+    Parameters
+    ----------
+    traffic : TrafficModel
+        How often each situation occurs.
+    order : RiskOrder or None
+        Which way is riskier; None claims no monotonicity.
+    relative_half_width : float
+        Target: half the interval over the estimate.
+    max_calls : int
+        Budget of simulator runs.
+    confidence : float
+        Level of the interval.
+    batch_size : int
+        Simulator runs asked for at a time.
+    seed : int
+        Batch k draws from ``SeedSequence(seed, spawn_key=(k,))``.
+    """
+
+    traffic: TrafficModel
+    order: RiskOrder | None = None
+    relative_half_width: float = 0.1
+    max_calls: int = 2000
+    confidence: float = 0.95
+    batch_size: int = 10
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        checks = (
+            (self.relative_half_width > 0, "relative_half_width", "a positive number"),
+            (self.max_calls >= 1, "max_calls", "at least 1"),
+            (0 < self.confidence < 1, "confidence", "a number between 0 and 1"),
+            (self.batch_size >= 1, "batch_size", "at least 1"),
+            (self.seed >= 0, "seed", "a non-negative integer"),
+        )
+        for holds, name, expected in checks:
+            if not holds:
+                raise InvalidInputError(f"{name}: expected {expected}, got {getattr(self, name)}.")
+
+    def rng(self, k: int) -> np.random.Generator:
+        """The generator of batch `k`, independent of all others and of what was drawn before."""
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(k,)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """What a method knows at one moment.
+
+    Parameters
+    ----------
+    probability : float
+        The estimate, NaN before there is one.
+    interval : (float, float)
+        At the problem's confidence; (0, 1) before there is an estimate.
+    standard_error : float
+        Of `probability`.
+    bounds : (float, float)
+        P(inner) and P(outer), valid if the risk order is exact; (0, 1) without an order.
+    n_eff : float
+        Effective sample size: the number of equally weighted crashes that would be as precise.
+    largest_weight_share : float
+        Share of the estimate that hangs on the single most influential simulator run.
+    log_efficiency : float
+        log E[Z²] / log E[Z] of one run's contribution Z: 2 at best, 1 for crude Monte Carlo.
+    alarms : tuple of Alarm
+    learned : MonotoneSet or None
+        What the outcomes imply through the risk order.
+    phase : str
+        For progress display.
+    stop_reason : StopReason
+    """
+
+    probability: float = float("nan")
+    interval: tuple[float, float] = (0.0, 1.0)
+    standard_error: float = float("inf")
+    bounds: tuple[float, float] = (0.0, 1.0)
+    n_eff: float = 0.0
+    largest_weight_share: float = 1.0
+    log_efficiency: float = float("nan")
+    alarms: tuple[Alarm, ...] = ()
+    learned: MonotoneSet | None = field(default=None, repr=False)
+    phase: str = "explore"
+    stop_reason: StopReason = StopReason.RUNNING
+
+
+@dataclass(frozen=True)
+class Query:
+    """Situations to simulate, `x` of shape (n, d), and what is known before their outcomes."""
+
+    x: FloatArray
+    snapshot: Snapshot
+
+
+Method = Callable[[Problem], Generator[Query, FloatArray, Snapshot]]
