@@ -1,0 +1,186 @@
+"""Risk order: which way a situation becomes more dangerous, coordinate by coordinate."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crashrate.errors import InvalidInputError
+from crashrate.expressions import Expression, HalfSpace
+from crashrate.variables import Direction, FloatArray, as_rows, nearest
+
+RowFunction = Callable[[FloatArray], npt.ArrayLike]
+RiskMapping = Mapping[str, str | tuple[RowFunction, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class RiskCoordinate:
+    """One quantity that makes a situation riskier.
+
+    Parameters
+    ----------
+    name : str
+        Name of a variable, or of the derived quantity.
+    direction : Direction
+        Which way danger grows.
+    index : int or None
+        Column of the variable; None for a derived quantity.
+    function : callable or None
+        Rows (n, d) to values (n,), of a derived quantity; None for a variable.
+    """
+
+    name: str
+    direction: Direction
+    index: int | None = None
+    function: RowFunction | None = None
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """The quantity times the sign of its direction, (n, d) -> (n,)."""
+        if self.function is None:
+            return self.direction.sign * x[:, self.index]
+        # what the function says of its own trouble is said better by `order(x)`: coordinate, row
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = np.asarray(self.function(x), dtype=np.float64)
+        if values.shape != (len(x),):
+            raise InvalidInputError(
+                f"risk coordinate {self.name!r}: expected its function to return one number per "
+                f"row, shape ({len(x)},), got shape {values.shape}."
+            )
+        return self.direction.sign * values
+
+
+@dataclass(frozen=True, slots=True)
+class RiskOrder:
+    """Situations in risk coordinates: u(x), where danger grows in every column.
+
+    A claim of the user, tested by every campaign: if u(x) <= u(y) in every coordinate and x
+    crashes, then y crashes (§V.A of the 2017 paper, with coordinates flipped as it proposes).
+
+    Parameters
+    ----------
+    coordinates : tuple of RiskCoordinate
+        At least one.
+    variables : tuple of str
+        Names of the columns of x.
+    """
+
+    coordinates: tuple[RiskCoordinate, ...]
+    variables: tuple[str, ...]
+
+    @classmethod
+    def from_mapping(cls, risk: RiskMapping, names: Sequence[str]) -> "RiskOrder":
+        """The order declared by `risk` on the variables `names`.
+
+        Parameters
+        ----------
+        risk : mapping
+            A variable's name to ``"increasing"`` or ``"decreasing"`` (a larger value is riskier,
+            or safer), or the name of a derived quantity to ``(function, direction)``, the
+            function taking rows (n, d) of the variables: any callable, or an `Expression`, whose
+            level sets the dominating points can use exactly.
+        names : sequence of str, length d
+            The traffic model's variables, in order.
+
+        Raises
+        ------
+        InvalidInputError
+            If `risk` is empty, names an unknown variable (the nearest is suggested), or gives
+            something that is not a direction.
+        """
+        if not risk:
+            raise InvalidInputError(
+                "risk: expected at least one coordinate such as {'v_lead': 'decreasing'}; "
+                "pass risk=None where no monotonicity is claimed."
+            )
+        known = tuple(names)
+        return cls(tuple(_coordinate(n, entry, known) for n, entry in risk.items()), known)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the risk coordinates, in order."""
+        return tuple(c.name for c in self.coordinates)
+
+    @property
+    def n_coordinates(self) -> int:
+        """Number m of risk coordinates."""
+        return len(self.coordinates)
+
+    def __call__(self, x: npt.ArrayLike) -> FloatArray:
+        """Risk coordinates u (n, m) of the situations x (n, d).
+
+        Raises
+        ------
+        InvalidInputError
+            If x has another shape, or a coordinate is not finite: named with its row.
+        """
+        rows = as_rows(x, len(self.variables))
+        u = np.empty((len(rows), self.n_coordinates))
+        for k, coordinate in enumerate(self.coordinates):
+            u[:, k] = coordinate.values(rows)
+        self._require_finite(u, rows)
+        return u
+
+    def _require_finite(self, u: FloatArray, x: FloatArray) -> None:
+        bad = np.argwhere(~np.isfinite(u))
+        if len(bad):
+            row, k = (int(i) for i in bad[0])
+            situation = ", ".join(
+                f"{n} = {v:g}" for n, v in zip(self.variables, x[row], strict=True)
+            )
+            raise InvalidInputError(
+                f"risk coordinate {self.names[k]!r}: expected a finite number, got {u[row, k]} at "
+                f"row {row} ({situation}); bound the variables so that it stays finite."
+            )
+
+    def half_space(
+        self,
+        k: int,
+        level: float,
+        lower: npt.ArrayLike | None = None,
+        upper: npt.ArrayLike | None = None,
+    ) -> HalfSpace | None:
+        """The set {x: u_k(x) >= level} as a half-space.
+
+        Parameters
+        ----------
+        k : int
+            Risk coordinate.
+        level : float
+            In the units of u, so with the sign of the direction.
+        lower, upper : (d,) arrays, optional
+            The box on which the answer must hold: a linear-fractional expression needs it, to
+            know the sign of its denominator.
+
+        Returns
+        -------
+        HalfSpace or None
+            The set inside the box is {x: normal @ x >= offset};
+            None where the set is not known to be a half-space.
+        """
+        coordinate = self.coordinates[k]
+        if coordinate.index is not None:
+            normal = np.zeros(len(self.variables))
+            normal[coordinate.index] = coordinate.direction.sign
+            return HalfSpace(normal, float(level))
+        if isinstance(coordinate.function, Expression):
+            return coordinate.function.half_space(level, coordinate.direction.sign, lower, upper)
+        return None
+
+
+def _coordinate(name: str, entry: Any, variables: tuple[str, ...]) -> RiskCoordinate:
+    where = f"risk[{name!r}]"
+    if isinstance(entry, str):
+        if name not in variables:
+            raise InvalidInputError(
+                f"{where}: not a variable{nearest(name, variables)}; "
+                "a derived quantity is given as (function, direction)."
+            )
+        return RiskCoordinate(name, Direction.parse(entry, where), index=variables.index(name))
+    if not (isinstance(entry, tuple) and len(entry) == 2 and callable(entry[0])):
+        raise InvalidInputError(
+            f"{where}: expected 'increasing', 'decreasing' or (function, direction), got {entry!r}."
+        )
+    function, direction = entry
+    return RiskCoordinate(name, Direction.parse(direction, where), function=function)
