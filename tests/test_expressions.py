@@ -67,7 +67,8 @@ def test_wrong_number_of_columns_names_the_columns():
     ("text", "part"),
     [
         ("1 / inv_rang", "did you mean 'inv_range'"),
-        ("1 / (", "from character"),
+        ("1 /", "it ends too early"),
+        ("1 / (", "at '('"),
         ("__import__('os').system('true')", "refused"),
         ("__import__('os')", "unknown function '__import__'"),
         ("sqr(v_lead)", "did you mean 'sqrt'"),

@@ -55,9 +55,10 @@ def _parse(text: str) -> tuple[ast.expr, str]:
             warnings.simplefilter("error")  # '1if 2' warns before it fails
             return ast.parse(source, mode="eval").body, source
     except SyntaxError as error:
+        rest = source[error.offset - 1 :] if error.offset else ""
+        where = f"at {rest!r}" if rest else "it ends too early"
         raise ExpressionError(
-            f"expression {source!r}: not arithmetic from character {error.offset} on "
-            f"({error.msg}): {source[max(0, (error.offset or 1) - 1) :]!r}."
+            f"expression {source!r}: not arithmetic: {where} ({error.msg})."
         ) from None
     except (ValueError, RecursionError, MemoryError) as error:  # a zero byte; nested too deep
         raise ExpressionError(f"expression {source[:40]!r}: cannot be read ({error}).") from None

@@ -54,7 +54,7 @@ def half_space_of(
         return None
     # n / d >= level  <=>  ±(n - level d) >= 0, with the sign of d
     form = positive * (sign * ratio.numerator - level * ratio.denominator)
-    return HalfSpace(form[:-1], float(-form[-1]))
+    return HalfSpace(form[:-1], 0.0 - float(form[-1]))  # never -0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +132,11 @@ def _cancel(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray,
 def _product(a: FloatArray, b: FloatArray) -> FloatArray | None:
     """The product of two affine forms where one of them is a constant, or None."""
     if not a[:-1].any():
-        return np.multiply(a[-1], b)
-    return np.multiply(b[-1], a) if not b[:-1].any() else None
+        a, b = b, a
+    if b[:-1].any():
+        return None
+    product: FloatArray = b[-1] * a
+    return product
 
 
 @lru_cache(maxsize=256)  # asked again at every corner of the crash set
