@@ -1,0 +1,111 @@
+"""The record of a run: what its folder holds, read for reports and status."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crashrate.errors import StoreError
+from crashrate.runs.scenario import Scenario
+from crashrate.runs.store import Batch, RunStore
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray, frozen
+
+RESULT = "result.json"
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What a run folder holds.
+
+    Parameters
+    ----------
+    directory : Path
+    scenario : Scenario
+    traffic : TrafficModel
+    x : array (n, d)
+        Situations simulated, in the order of the campaign and the traffic model's variables.
+    outcomes : array (n,)
+        1 crash, 0 safe, NaN failed.
+    result : dict
+        As `result.json` says.
+    synthetic : bool
+        Whether the traffic model was fitted to drawn events instead of recorded ones.
+    """
+
+    directory: Path
+    scenario: Scenario
+    traffic: TrafficModel
+    x: FloatArray
+    outcomes: FloatArray
+    result: dict[str, Any]
+    synthetic: bool
+
+
+def load_run(directory: str | Path) -> RunRecord:
+    """The record of the run in `directory`.
+
+    Raises
+    ------
+    StoreError
+        If there is no run, it has no result yet, or its files are damaged.
+    """
+    directory = Path(directory)
+    with RunStore.open(directory) as store:
+        config = store.config()
+        scenario = Scenario.from_text(config["scenario"], config["scenario_name"])
+        batches = store.batches(len(scenario.variables))
+    result = read_result(directory)
+    x, outcomes = _rows(batches, len(scenario.variables), directory, result)
+    return RunRecord(
+        directory=directory,
+        scenario=scenario,
+        traffic=TrafficModel.from_json(config["traffic"]),
+        x=x,
+        outcomes=outcomes,
+        result=result,
+        synthetic=bool(result["synthetic"]),
+    )
+
+
+def read_result(directory: Path) -> dict[str, Any]:
+    """What `result.json` in the run folder says.
+
+    Raises
+    ------
+    StoreError
+        If it is missing or damaged.
+    """
+    path = directory / RESULT
+    try:
+        result = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise StoreError(
+            f"{path}: no result yet; start or resume the run with 'crashrate run'."
+        ) from None
+    except (OSError, ValueError) as error:
+        raise StoreError(
+            f"{path}: expected JSON written by crashrate, got: {error}; write it again with "
+            "'crashrate run' and the same arguments (no simulator run is repeated)."
+        ) from error
+    missing = {"schema", "probability", "n_calls", "synthetic"} - set(result)
+    if missing:
+        raise StoreError(f"{path}: expected the keys {', '.join(sorted(missing))}, found none.")
+    return dict(result)
+
+
+def _rows(
+    batches: list[Batch], d: int, directory: Path, result: dict[str, Any]
+) -> tuple[FloatArray, FloatArray]:
+    x = np.concatenate([np.empty((0, d)), *(batch.x for batch in batches)])
+    outcomes = np.concatenate([np.empty(0), *(batch.outcomes for batch in batches)])
+    n = int(result["n_calls"])
+    if n > len(x):
+        raise StoreError(
+            f"{directory}: expected the {n} simulator runs of {RESULT}, found {len(x)} in the "
+            "store; write the result again with 'crashrate run' and the same arguments."
+        )
+    # a killed run may have stored a batch more than its last result counts
+    return frozen(x[:n]), frozen(outcomes[:n])

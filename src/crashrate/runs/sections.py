@@ -1,0 +1,204 @@
+"""The sections of a scenario file: what each may say, and the frozen value it becomes."""
+
+import ast
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from crashrate.errors import InvalidInputError, ScenarioError
+from crashrate.estimation.strategy import Problem
+from crashrate.expressions import Expression
+from crashrate.runs.keys import Table
+from crashrate.variables import Direction, Variable, nearest
+
+SIMULATOR_KEYS = {
+    "acc-aeb": ("kind", "published", "closing_speed_cap", "ego_speed_cap"),
+    "python": ("kind", "function"),
+}
+CLOSING = ("inv_ttc", "closing_speed")
+
+
+@dataclass(frozen=True)
+class Target:
+    """How tight an interval is wanted, and how many simulator runs it may cost."""
+
+    relative_half_width: float = Problem.relative_half_width
+    max_calls: int = Problem.max_calls
+    confidence: float = Problem.confidence
+
+
+@dataclass(frozen=True)
+class SimulatorChoice:
+    """Which vehicle is simulated.
+
+    Parameters
+    ----------
+    kind : {"acc-aeb", "python"}
+    published : bool
+        The plant with the silent caps of the 2017 study.
+    closing_speed_cap, ego_speed_cap : float or None
+        Caps of the plant [m/s].
+    function : str
+        ``"module:function"``, taking rows of the variables.
+    """
+
+    kind: str
+    published: bool = False
+    closing_speed_cap: float | None = None
+    ego_speed_cap: float | None = None
+    function: str = ""
+
+
+@dataclass(frozen=True)
+class EventColumns:
+    """How a table of events becomes the variables.
+
+    Parameters
+    ----------
+    columns : mapping
+        Variable's name to the expression that computes it from the columns of the file.
+    closing : str or None
+        The variable that is positive while the range shrinks: other events are dropped.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    closing: str | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The words of the answer: what happens, and per what."""
+
+    event: str = "crash"
+    per: str = "lane change"
+
+
+def read_variables(section: Table) -> tuple[Variable, ...]:
+    """The variables, in order."""
+    if not section.values:
+        raise section.error("expected at least one table such as [variables.v_lead], got none")
+    return tuple(_variable(section.table(name), name) for name in section.values)
+
+
+def _variable(section: Table, name: str) -> Variable:
+    section.only(("unit", "lower", "upper"))
+    lower, upper = section.number("lower", -math.inf), section.number("upper", math.inf)
+    try:
+        return Variable(name, section.text("unit", ""), lower, upper)
+    except InvalidInputError as error:
+        raise ScenarioError(f"{section.where}: {error}") from error
+
+
+def read_derived(section: Table, names: tuple[str, ...]) -> dict[str, Expression]:
+    """Derived quantities as expressions on the variables; each may use the ones above it."""
+    derived: dict[str, Expression] = {}
+    for name in section.values:
+        if not name.isidentifier():
+            raise section.error(f"{name!r}: expected a Python identifier such as 'range'")
+        text = section.text(name)
+        _require_known(section, name, text, (*names, *derived))
+        try:
+            # the quantity's own name goes in last: the expression checks that it is not taken
+            derived[name] = Expression.parse(text, names, derived)
+            Expression.parse(name, names, derived)
+        except InvalidInputError as error:
+            raise ScenarioError(f"{section.where}, {name}: {error}") from error
+    return derived
+
+
+def _require_known(section: Table, name: str, text: str, known: tuple[str, ...]) -> None:
+    for word in _names_in(text):
+        if word not in known:
+            raise section.error(f"{name} = {text!r}: unknown name {word!r}{nearest(word, known)}")
+
+
+def _names_in(text: str) -> tuple[str, ...]:
+    """The names that an expression uses, functions apart; none where it is not one."""
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError):  # said better by Expression
+        return ()
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    found = [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called]
+    return tuple(dict.fromkeys(found))
+
+
+def read_risk(root: Table, known: tuple[str, ...]) -> Mapping[str, Direction] | None:
+    """The declared directions, None where the file has no such section."""
+    if "risk" not in root.values:
+        return None
+    section = root.table("risk").only(known, "variable or derived quantity")
+    if not section.values:
+        raise section.error("expected name = direction; leave it out where no order is claimed")
+    try:
+        directions = {
+            n: Direction.parse(section.text(n), f"{section.where}, {n}") for n in section.values
+        }
+    except ScenarioError:
+        raise
+    except InvalidInputError as error:
+        raise ScenarioError(str(error)) from error
+    return MappingProxyType(directions)
+
+
+def read_simulator(section: Table) -> SimulatorChoice:
+    """The simulator, with the keys of its kind."""
+    kind = section.text("kind")
+    if kind not in SIMULATOR_KEYS:
+        raise section.error(f"unknown kind {kind!r}{nearest(kind, tuple(SIMULATOR_KEYS))}")
+    section.only(SIMULATOR_KEYS[kind])
+    if kind == "python":
+        return SimulatorChoice(kind, function=section.text("function"))
+    caps = {key: section.optional_number(key) for key in ("closing_speed_cap", "ego_speed_cap")}
+    published = section.flag("published", False)
+    if published and any(cap is not None for cap in caps.values()):
+        raise section.error("published = true sets both caps; give either it or the caps")
+    return SimulatorChoice(kind, published, caps["closing_speed_cap"], caps["ego_speed_cap"])
+
+
+def read_target(section: Table) -> Target:
+    """The target and the budget."""
+    section.only(("relative_half_width", "max_calls", "confidence"))
+    target = Target(
+        section.number("relative_half_width", Target.relative_half_width),
+        section.integer("max_calls", Target.max_calls),
+        section.number("confidence", Target.confidence),
+    )
+    checks = (
+        (target.relative_half_width > 0, "relative_half_width", "a positive number"),
+        (target.max_calls >= 1, "max_calls", "at least 1"),
+        (0 < target.confidence < 1, "confidence", "a number between 0 and 1"),
+    )
+    for holds, key, expected in checks:
+        if not holds:
+            raise section.error(f"{key}: expected {expected}, got {getattr(target, key)}")
+    return target
+
+
+def read_events(section: Table, names: tuple[str, ...]) -> EventColumns:
+    """How a table of events becomes the variables `names`."""
+    section.only(("columns", "closing"))
+    columns = section.table("columns").only(names, "variable")
+    texts = {name: _column(columns, name) for name in columns.values}
+    closing = section.text("closing", "")
+    if closing and closing not in names:
+        raise section.error(f"closing: unknown variable {closing!r}{nearest(closing, names)}")
+    default = next((name for name in CLOSING if name in names), None)
+    return EventColumns(MappingProxyType(texts), closing or default)
+
+
+def _column(columns: Table, name: str) -> str:
+    text = columns.text(name)
+    try:
+        # which columns the file has is known when it is read: here any name will do
+        Expression(text, _names_in(text))
+    except InvalidInputError as error:
+        raise ScenarioError(f"{columns.where}, {name}: {error}") from error
+    return text
+
+
+def read_outcome(section: Table) -> Outcome:
+    """The words of the answer."""
+    section.only(("event", "per"))
+    return Outcome(section.text("event", Outcome.event), section.text("per", Outcome.per))

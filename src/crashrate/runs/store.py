@@ -1,0 +1,214 @@
+"""The store: everything a run is made of, in one SQLite file that is only ever added to."""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from crashrate.errors import StoreError
+from crashrate.variables import FloatArray
+
+SCHEMA = "crashrate.run/1"
+FILE = "campaign.sqlite"
+TABLES = """
+CREATE TABLE config (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE batches (
+    id INTEGER PRIMARY KEY,
+    k INTEGER NOT NULL,
+    n INTEGER NOT NULL,
+    x BLOB NOT NULL,
+    outcomes BLOB NOT NULL,
+    set_aside INTEGER NOT NULL DEFAULT 0
+);
+CREATE UNIQUE INDEX one_batch_each ON batches (k) WHERE NOT set_aside;
+"""
+FLOAT = np.dtype("<f8")  # little-endian on every machine
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Situations simulated together, `x` of shape (n, d), and their outcomes of shape (n,)."""
+
+    x: FloatArray
+    outcomes: FloatArray
+
+
+class RunStore:
+    """What a run folder remembers: its configuration and every batch of outcomes.
+
+    A batch is written whole or not at all. Nothing is deleted: batches that a continued campaign
+    no longer asks for are marked as set aside.
+
+    Parameters
+    ----------
+    directory : Path
+        The run folder.
+    connection : sqlite3.Connection
+        To the folder's SQLite file; see `create` and `open`.
+    """
+
+    def __init__(self, directory: Path, connection: sqlite3.Connection) -> None:
+        self.directory = directory
+        self._connection = connection
+
+    @staticmethod
+    def exists(directory: Path) -> bool:
+        """Whether `directory` holds a run; a file killed before its first write does not count."""
+        path = directory / FILE
+        return path.is_file() and path.stat().st_size > 0
+
+    @classmethod
+    def create(cls, directory: Path, config: dict[str, str]) -> "RunStore":
+        """A new store in `directory`, which is made where it is missing.
+
+        Raises
+        ------
+        StoreError
+            If the folder already holds a run or a result, or cannot be written.
+        """
+        if cls.exists(directory) or (directory / "result.json").exists():
+            raise StoreError(
+                f"{directory}: expected a folder without a run, found one; choose another --out."
+            )
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(f"{directory}: expected a folder to write to, got: {error}.") from None
+        store = cls(directory, _connect(directory, "rwc"))
+        with store._transaction() as connection:
+            for statement in TABLES.split(";"):
+                connection.execute(statement)
+            rows = ({"schema": SCHEMA} | config).items()
+            connection.executemany("INSERT INTO config VALUES (?, ?)", rows)
+        return store
+
+    @classmethod
+    def open(cls, directory: Path) -> "RunStore":
+        """The store in `directory`.
+
+        Raises
+        ------
+        StoreError
+            If there is none, or it is damaged, or of another schema.
+        """
+        if not cls.exists(directory):
+            raise StoreError(
+                f"{directory}: expected a run folder, found no {FILE} in it; start one with "
+                "'crashrate run SCENARIO --traffic … --out DIR'."
+            )
+        store = cls(directory, _connect(directory, "rw"))
+        schema = store.config().get("schema")
+        if schema != SCHEMA:
+            store.close()
+            raise StoreError(
+                f"{directory / FILE}: expected the schema {SCHEMA!r}, got {schema!r}; read it with "
+                "the crashrate version that wrote it."
+            )
+        return store
+
+    def config(self) -> dict[str, str]:
+        """The configuration, key to text."""
+        with self._transaction() as connection:
+            rows: list[tuple[str, str]] = connection.execute("SELECT * FROM config").fetchall()
+        return dict(rows)
+
+    def set_config(self, key: str, value: str) -> None:
+        """Write one text of the configuration."""
+        with self._transaction() as connection:
+            connection.execute("INSERT OR REPLACE INTO config VALUES (?, ?)", (key, value))
+
+    def batches(self, n_variables: int, *, set_aside: bool = False) -> list[Batch]:
+        """The batches, in the order in which they were asked for.
+
+        Raises
+        ------
+        StoreError
+            If one is missing or its size is not what it says.
+        """
+        with self._transaction() as connection:
+            rows = connection.execute(
+                "SELECT k, n, x, outcomes FROM batches WHERE set_aside = ? ORDER BY k, id",
+                (int(set_aside),),
+            ).fetchall()
+        if not set_aside and [row[0] for row in rows] != list(range(len(rows))):
+            raise self._damaged(f"batches 0 to {len(rows) - 1}", str([row[0] for row in rows]))
+        return [self._batch(row, n_variables) for row in rows]
+
+    def append(self, k: int, batch: Batch) -> None:
+        """Write batch `k`, whole or not at all.
+
+        Raises
+        ------
+        StoreError
+            If there is a batch `k` already: another process writes to this folder.
+        """
+        row = (k, len(batch.x), _blob(batch.x), _blob(batch.outcomes))
+        with self._transaction() as connection:
+            connection.execute("INSERT INTO batches (k, n, x, outcomes) VALUES (?, ?, ?, ?)", row)
+
+    def set_aside_from(self, k: int) -> None:
+        """Mark batch `k` and all after it as no part of the campaign any more."""
+        with self._transaction() as connection:
+            connection.execute("UPDATE batches SET set_aside = 1 WHERE k >= ?", (k,))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+            with self._connection:  # commits, or rolls back on any error
+                yield self._connection
+        except sqlite3.IntegrityError as error:
+            raise StoreError(
+                f"{self.directory}: another process writes to this run folder ({error}); wait for "
+                "it, or choose another --out."
+            ) from error
+        except sqlite3.Error as error:
+            raise StoreError(
+                f"{self.directory / FILE}: expected a run written by crashrate, got: {error}; "
+                "restore the file from a copy, or choose another --out."
+            ) from error
+
+    def _batch(self, row: tuple[int, int, bytes, bytes], d: int) -> Batch:
+        k, n, x, outcomes = row
+        size = FLOAT.itemsize
+        if (len(x), len(outcomes)) != (n * d * size, n * size):
+            expected = f"{n} rows of {d} variables in batch {k}"
+            raise self._damaged(expected, f"{len(x)} and {len(outcomes)} bytes")
+        return Batch(_array(x).reshape(n, d), _array(outcomes))
+
+    def _damaged(self, expected: str, got: str) -> StoreError:
+        return StoreError(
+            f"{self.directory / FILE}: damaged: expected {expected}, got {got}; restore the file "
+            "from a copy, or choose another --out."
+        )
+
+
+def _connect(directory: Path, mode: str) -> sqlite3.Connection:
+    path = (directory / FILE).resolve()
+    try:
+        # isolation_level=None: transactions begin where this module says so
+        return sqlite3.connect(f"{path.as_uri()}?mode={mode}", uri=True, isolation_level=None)
+    except sqlite3.Error as error:
+        raise StoreError(f"{path}: expected a file to read and write, got: {error}.") from error
+
+
+def _blob(values: FloatArray) -> bytes:
+    return np.ascontiguousarray(values, dtype=FLOAT).tobytes()
+
+
+def _array(blob: bytes) -> FloatArray:
+    return np.frombuffer(blob, dtype=FLOAT).astype(np.float64)
