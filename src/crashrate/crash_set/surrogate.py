@@ -1,0 +1,203 @@
+"""Probability that a situation crashes, given the outcomes so far: a probit Gaussian process.
+
+Inference is parallel expectation propagation (Rasmussen & Williams 2006, §3.6), with sites that
+can be taken over from the last fit. The surrogate only steers where to simulate: the estimate
+corrects it with simulated outcomes, so that an error here costs runs, not honesty.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.special import log_ndtr, ndtr
+
+from crashrate.variables import BoolArray, FloatArray
+
+MAX_SWEEPS = 60
+SWEEP_TOLERANCE = 0.01
+DAMPING = 0.7  # parallel updates oscillate undamped
+MIN_VARIANCE = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Gaussian-process prior of the latent danger: a plane plus a smooth bump.
+
+    k(u, v) = s² (linear (1 + u·v) + bump exp(-|u - v|² / 2 length²)),
+    mean(u) = s (constant + slope Σu / √m).
+
+    Parameters
+    ----------
+    bump, length : float
+        Weight and length of the squared-exponential part, `u` standardised.
+    variance : float
+        s²: large values make sharp labels.
+    linear, slope, constant : float
+        Of the plane; a positive slope says that danger grows with every coordinate.
+    """
+
+    bump: float
+    length: float
+    variance: float
+    linear: float
+    slope: float
+    constant: float
+
+    def mean(self, u: FloatArray) -> FloatArray:
+        """Prior mean at `u` (n, m), shape (n,)."""
+        plane = self.constant + self.slope * u.sum(axis=1) / math.sqrt(u.shape[1])
+        return math.sqrt(self.variance) * plane
+
+    def covariance(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Prior covariance between `u` (n, m) and `v` (k, m), shape (n, k)."""
+        product = u @ v.T
+        squares = (u**2).sum(axis=1)[:, None] + (v**2).sum(axis=1) - 2 * product
+        smooth = np.exp(np.minimum(squares, np.inf) / (-2 * self.length**2))
+        np.minimum(smooth, 1.0, out=smooth)  # rounding may leave -1e-16 in a squared distance
+        return self.variance * (self.linear * (1 + product) + self.bump * smooth)
+
+    def variances(self, u: FloatArray) -> FloatArray:
+        """Prior variance at `u` (n, m), shape (n,)."""
+        return self.variance * (self.linear * (1 + (u**2).sum(axis=1)) + self.bump)
+
+
+@dataclass(frozen=True, slots=True)
+class Sites:
+    """Gaussian approximations of the n likelihood terms: precisions and precision × mean."""
+
+    tau: FloatArray
+    nu: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Surrogate:
+    """A fitted classifier.
+
+    Parameters
+    ----------
+    prior : Prior
+    u : ndarray, shape (n, m)
+        Labelled points.
+    sites : Sites
+    log_score : float
+        Sum of the log leave-one-out probabilities of the labels: chooses among priors.
+    root : ndarray, shape (n, n)
+        Inverse Cholesky factor of I + S K S times S, in single precision (it enters a variance).
+    coefficients : ndarray, shape (n,)
+        Of the posterior mean.
+    """
+
+    prior: Prior
+    u: FloatArray
+    sites: Sites
+    log_score: float
+    root: np.ndarray
+    coefficients: FloatArray
+
+    def probability(self, u: FloatArray, block: int = 4096) -> FloatArray:
+        """P(crash | labels) at `u` (n, m), shape (n,)."""
+        parts = [self._probability(u[i : i + block]) for i in range(0, len(u), block)]
+        return np.concatenate([np.empty(0), *parts])
+
+    def _probability(self, u: FloatArray) -> FloatArray:
+        k = self.prior.covariance(u, self.u)
+        explained = k.astype(np.float32) @ self.root.T
+        variance = self.prior.variances(u) - np.einsum("ij,ij->i", explained, explained)
+        mean = self.prior.mean(u) + k @ self.coefficients
+        return ndtr(mean / np.sqrt(1 + np.maximum(variance, MIN_VARIANCE)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Posterior:
+    """Marginals of the latent values at the labelled points, and the factor they came from."""
+
+    chol: FloatArray
+    mean: FloatArray
+    variance: FloatArray
+
+
+def fit_surrogate(
+    u: FloatArray, crash: BoolArray, prior: Prior, warm: Sites | None = None
+) -> Surrogate:
+    """Fit the classifier to labelled points.
+
+    Parameters
+    ----------
+    u : ndarray, shape (n, m)
+        Standardised risk coordinates.
+    crash : ndarray of bool, shape (n,)
+    prior : Prior
+    warm : Sites, optional
+        Of an earlier fit to the first labels.
+    """
+    signs = np.where(crash, 1.0, -1.0)
+    covariance, mean = prior.covariance(u, u), prior.mean(u)
+    sites = _start(signs, mean, prior, warm)
+    for _ in range(MAX_SWEEPS):
+        z, new = _sweep(_posterior(covariance, mean, sites), sites, signs)
+        moved = np.abs(new.tau - sites.tau) / (sites.tau + 1e-3 / prior.variance)
+        sites = Sites(*(_damped(o, n) for o, n in ((sites.tau, new.tau), (sites.nu, new.nu))))
+        if moved.max() < SWEEP_TOLERANCE:
+            break
+    score = float(log_ndtr(z).sum())
+    return _predictor(u, prior, sites, covariance, mean, score)
+
+
+def _damped(old: FloatArray, new: FloatArray) -> FloatArray:
+    return (1 - DAMPING) * old + DAMPING * new
+
+
+def _start(signs: FloatArray, mean: FloatArray, prior: Prior, warm: Sites | None) -> Sites:
+    tau = np.full(len(signs), 0.1 / prior.variance)
+    nu = tau * mean + 1e-3 * signs
+    if warm is not None:
+        n = len(warm.tau)
+        tau[:n], nu[:n] = warm.tau, warm.nu
+    return Sites(tau, nu)
+
+
+def _factor(covariance: FloatArray, tau: FloatArray) -> FloatArray:
+    s = np.sqrt(tau)
+    return np.linalg.cholesky(np.eye(len(tau)) + s[:, None] * covariance * s)
+
+
+def _posterior(covariance: FloatArray, mean: FloatArray, sites: Sites) -> _Posterior:
+    chol = _factor(covariance, sites.tau)
+    scaled = np.sqrt(sites.tau)[:, None] * covariance
+    v = solve_triangular(chol, scaled, lower=True, check_finite=False)
+    variance = np.maximum(np.diag(covariance) - (v * v).sum(axis=0), MIN_VARIANCE)
+    pull = sites.nu - sites.tau * mean
+    return _Posterior(chol, mean + covariance @ pull - v.T @ (v @ pull), variance)
+
+
+def _sweep(post: _Posterior, sites: Sites, signs: FloatArray) -> tuple[FloatArray, Sites]:
+    # cavity: the marginal without the point's own site
+    precision = np.maximum(1 / post.variance - sites.tau, MIN_VARIANCE)
+    variance = 1 / precision
+    mean = (post.mean / post.variance - sites.nu) * variance
+    # moments of cavity × probit likelihood (Rasmussen & Williams 2006, eq. 3.58)
+    scale = np.sqrt(1 + variance)
+    z = signs * mean / scale
+    ratio = np.exp(-0.5 * z * z - log_ndtr(z)) / math.sqrt(2 * math.pi)
+    tilted_mean = mean + signs * variance * ratio / scale
+    shrink = variance**2 * ratio * (z + ratio) / (1 + variance)
+    tilted_variance = np.maximum(variance - shrink, MIN_VARIANCE)
+    tau = np.maximum(1 / tilted_variance - precision, 1e-12)
+    return z, Sites(tau, tilted_mean / tilted_variance - mean * precision)
+
+
+def _predictor(
+    u: FloatArray,
+    prior: Prior,
+    sites: Sites,
+    covariance: FloatArray,
+    mean: FloatArray,
+    score: float,
+) -> Surrogate:
+    s = np.sqrt(sites.tau)
+    chol = _factor(covariance, sites.tau)
+    pull = sites.nu - sites.tau * mean
+    coefficients = pull - s * cho_solve((chol, True), s * (covariance @ pull), check_finite=False)
+    root = solve_triangular(chol, np.diag(s), lower=True, check_finite=False)
+    return Surrogate(prior, u, sites, score, root.astype(np.float32), coefficients)

@@ -1,0 +1,52 @@
+"""Crude Monte Carlo: random encounters, for when exploration finds no crash."""
+
+from collections.abc import Generator
+
+import numpy as np
+from scipy.special import betaincinv
+
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.variables import FloatArray
+
+
+def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labels | Snapshot]:
+    """Simulate random encounters until one crashes, or the budget ends.
+
+    Returns
+    -------
+    Labels
+        With the crash in them, for the rounds to go on from.
+    Snapshot
+        Where none crashed: probability 0 with the upper end that the safe random encounters leave.
+    """
+    rng, n_safe, n_failed = problem.rng(1_000_000), 0, 0
+    while labels.n < problem.max_calls:
+        n = min(problem.batch_size, problem.max_calls - labels.n)
+        x = problem.traffic.sample(n, rng)
+        y = yield Query(x, _nothing(problem, labels, n_safe, n_failed))
+        labels = labels.add(x, y)
+        if (y == 1).any():
+            return labels
+        n_failed += int(np.isnan(y).sum())
+        n_safe += int((y == 0).sum())
+    end = _nothing(problem, labels, n_safe, n_failed)
+    return Snapshot(**{**vars(end), "stop_reason": StopReason.BUDGET_ENDED})
+
+
+def _nothing(problem: Problem, labels: Labels, n_safe: int, n_failed: int) -> Snapshot:
+    return Snapshot(
+        probability=0.0,
+        interval=(0.0, upper_end(n_failed, n_safe + n_failed, problem.confidence)),
+        alarms=(Alarm.NO_CRASH_FOUND,),
+        learned=labels.learned,
+        phase="random encounters",
+    )
+
+
+def upper_end(n_crashes: int, n: int, confidence: float) -> float:
+    """Upper end of the two-sided Clopper–Pearson interval (1934) for a probability."""
+    if n_crashes >= n:
+        return 1.0
+    return float(betaincinv(n_crashes + 1, n - n_crashes, 0.5 + confidence / 2))

@@ -1,0 +1,192 @@
+"""Exploration: the first crash, and the crash set's edge near the likeliest crashes.
+
+With a risk order: inflate the traffic model until its most dangerous draw crashes, bisect down the
+chain of draws sorted by danger, then search along lines from the likeliest crash to ordinary
+traffic. Without one: a space-filling search over everything that traffic can reach.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.sampling.gaussians import Gaussians
+from crashrate.sampling.pool import Pool, draw_pool
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray
+
+N_WIDE = 80_000
+N_ORDINARY = 6000
+N_RANKED = 1000
+INFLATION = 4.0
+INFLATION_STEP = 1.5
+MAX_INFLATIONS = 8
+CHAIN_LEVELS = 64
+RUNS_PER_LINE = 4
+HALVINGS_PER_LINE = 12
+NEGLIGIBLE_MASS = 1e-8
+MAX_SPACE_FILLING = 400
+
+Exploration = Generator[Query, FloatArray, "Explored"]
+Asking = Generator[Query, FloatArray, Labels]
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What exploration leaves to the rounds.
+
+    Parameters
+    ----------
+    labels : Labels
+    wide : Gaussians
+        The inflated traffic model in which the crash was found.
+    ordinary : ndarray, shape (n, m)
+        Risk coordinates of draws of the traffic model; empty where crashes are common among them.
+    """
+
+    labels: Labels
+    wide: Gaussians
+    ordinary: FloatArray
+
+    @property
+    def found(self) -> bool:
+        """Whether a crash was seen."""
+        return bool((self.labels.y == 1).any())
+
+
+def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:
+    """The traffic model's components, equally weighted, with covariances times each factor."""
+    k = traffic.n_components * len(factors)
+    return Gaussians(
+        np.full(k, 1 / k),
+        np.concatenate([traffic.means] * len(factors)),
+        np.concatenate([traffic.covariances * f for f in factors]),
+    )
+
+
+def ask(problem: Problem, labels: Labels, x: FloatArray) -> Asking:
+    """Simulate `x`, cut to what is left of the budget."""
+    x = x[: problem.max_calls - labels.n]
+    if not len(x):
+        return labels
+    y = yield Query(x, Snapshot(learned=labels.learned))
+    return labels.add(x, y)
+
+
+def explore(problem: Problem) -> Exploration:
+    """Find a crash, and where the crash set begins; see the module."""
+    rng, labels = problem.rng(0), Labels.empty(problem)
+    ordinary = problem.traffic.sample(N_ORDINARY, rng)
+    if problem.order is not None:
+        labels, wide, pool = yield from _inflate(problem, labels, rng)
+        if (labels.y == 1).any():
+            labels = yield from _descend(problem, labels, pool)
+        else:
+            labels = labels.without_order()  # the most dangerous situations are safe: not believed
+    if labels.learned is None:
+        wide = inflated(problem.traffic, _factors(INFLATION))
+        labels = yield from _fill_space(problem, labels, wide, rng)
+    if (labels.y == 1).any():
+        labels = yield from _search_lines(problem, labels, ordinary)
+    labels, u = yield from _check_ordinary(problem, labels, ordinary)
+    return Explored(labels, wide, u)
+
+
+def _factors(inflation: float) -> tuple[float, ...]:
+    return 1.0, inflation, inflation**2
+
+
+def danger(u: FloatArray) -> FloatArray:
+    """Minimum over coordinates of the rank of `u` (n, m), shape (n,): a chain through the set."""
+    return np.argsort(np.argsort(u, axis=0), axis=0).min(axis=1)
+
+
+def _inflate(
+    problem: Problem, labels: Labels, rng: np.random.Generator
+) -> Generator[Query, FloatArray, tuple[Labels, Gaussians, Pool]]:
+    """Inflate the traffic model until its most dangerous draw crashes."""
+    for step in range(MAX_INFLATIONS):
+        wide = inflated(problem.traffic, _factors(INFLATION * INFLATION_STEP**step))
+        pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+        worst = int(np.argmax(danger(pool.u)))
+        labels = yield from ask(problem, labels, pool.x[worst : worst + 1])
+        if (labels.y == 1).any():
+            break
+    return labels, wide, pool
+
+
+def _descend(problem: Problem, labels: Labels, pool: Pool) -> Asking:
+    """Bisect down the chain of draws sorted by danger."""
+    chain = np.argsort(-danger(pool.u))
+    steps = np.unique(np.geomspace(1, len(chain), CHAIN_LEVELS).round().astype(int) - 1)
+    crash, safe = 0, len(steps) - 1
+    while safe - crash > 1 and labels.n < problem.max_calls:
+        middle = (crash + safe) // 2
+        row = chain[steps[middle]]
+        labels = yield from ask(problem, labels, pool.x[row : row + 1])
+        crash, safe = (middle, safe) if labels.y[-1] == 1 else (crash, middle)
+    return labels
+
+
+def _fill_space(
+    problem: Problem, labels: Labels, wide: Gaussians, rng: np.random.Generator
+) -> Asking:
+    """Simulate the draw farthest from all simulated ones until one crashes."""
+    pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+    by_density = np.argsort(pool.log_f)
+    mass = np.cumsum(pool.weights[by_density])
+    reachable = by_density[mass > NEGLIGIBLE_MASS * mass[-1]]
+    x, u = pool.x[reachable], pool.u[reachable]
+    z = (u - u.mean(axis=0)) / u.std(axis=0)
+    distance = (z * z).sum(axis=1)
+    for _ in range(MAX_SPACE_FILLING):
+        if (labels.y == 1).any() or labels.n >= problem.max_calls:
+            break
+        row = int(distance.argmax())
+        labels = yield from ask(problem, labels, x[row : row + 1])
+        distance = np.minimum(distance, ((z - z[row]) ** 2).sum(axis=1))
+    return labels
+
+
+def _search_lines(problem: Problem, labels: Labels, ordinary: FloatArray) -> Asking:
+    """Bisect from the likeliest crash towards draws of the traffic model."""
+    for safe_end in ordinary[: 2 + problem.traffic.n_variables]:
+        density = problem.traffic.log_density(labels.crashes)
+        crash_end = labels.crashes[int(np.argmax(density))]
+        labels = yield from _search_line(problem, labels, safe_end, crash_end)
+    return labels
+
+
+def _search_line(problem: Problem, labels: Labels, start: FloatArray, end: FloatArray) -> Asking:
+    low, high, runs = 0.0, 1.0, 0
+    for _ in range(HALVINGS_PER_LINE):
+        middle = (low + high) / 2
+        x = (start + middle * (end - start))[None]
+        crash, safe = labels.implied(labels.coordinates(x))
+        if not (crash[0] or safe[0]):
+            if runs == RUNS_PER_LINE or labels.n >= problem.max_calls:
+                break
+            labels, runs = (yield from ask(problem, labels, x)), runs + 1
+            crash = labels.y[-1:] == 1
+        low, high = (low, middle) if crash[0] else (middle, high)
+    return labels
+
+
+def _check_ordinary(
+    problem: Problem, labels: Labels, ordinary: FloatArray
+) -> Generator[Query, FloatArray, tuple[Labels, FloatArray]]:
+    """Draws of the traffic model that the surrogate may take as safe, their most dangerous run."""
+    ranked = ordinary[-N_RANKED:]
+    u = labels.coordinates(ranked)
+    none = u[:0]
+    if labels.implied(u)[0].any():
+        return labels, none
+    if labels.learned is not None:
+        worst = int(np.argmax(danger(u)))
+        if not labels.implied(u[worst : worst + 1])[1][0]:
+            labels = yield from ask(problem, labels, ranked[worst : worst + 1])
+            if labels.y[-1] == 1:
+                return labels, none
+    return labels, u

@@ -1,0 +1,90 @@
+"""What the simulator has said so far, and what follows from it through the risk order."""
+
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from crashrate.crash_set.monotone_set import Label, MonotoneSet
+from crashrate.crash_set.order import RiskOrder
+from crashrate.estimation.strategy import Problem
+from crashrate.variables import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Simulated situations with their outcomes.
+
+    Parameters
+    ----------
+    order : RiskOrder or None
+        Gives the coordinates; None takes the variables themselves.
+    x, u, y : ndarray, shapes (n, d), (n, m), (n,)
+        Situations, their risk coordinates, outcomes: 1 crash, 0 safe, NaN failed.
+    learned : MonotoneSet or None
+        What the order implies; None where no order is claimed, or it was dropped.
+    """
+
+    order: RiskOrder | None
+    x: FloatArray
+    u: FloatArray
+    y: FloatArray
+    learned: MonotoneSet | None = field(repr=False)
+
+    @classmethod
+    def empty(cls, problem: Problem) -> Self:
+        """Nothing simulated yet."""
+        d = problem.traffic.n_variables
+        m = d if problem.order is None else problem.order.n_coordinates
+        learned = None if problem.order is None else MonotoneSet.empty(m)
+        return cls(problem.order, np.empty((0, d)), np.empty((0, m)), np.empty(0), learned)
+
+    def coordinates(self, x: FloatArray) -> FloatArray:
+        """Risk coordinates of `x` (n, d): danger grows in each where an order is claimed."""
+        return x if self.order is None else self.order(x)
+
+    def add(self, x: FloatArray, y: FloatArray) -> Self:
+        """With more outcomes; a failed simulation implies nothing."""
+        u, known = self.coordinates(x), ~np.isnan(y)
+        learned = self.learned
+        if learned is not None:
+            learned = learned.add(u[known], y[known] == 1)
+        return replace(
+            self,
+            x=np.concatenate([self.x, x]),
+            u=np.concatenate([self.u, u]),
+            y=np.concatenate([self.y, y]),
+            learned=learned,
+        )
+
+    def without_order(self) -> Self:
+        """The same outcomes, implying nothing about other situations."""
+        return replace(self, learned=None)
+
+    @property
+    def n(self) -> int:
+        """Simulator runs so far."""
+        return len(self.y)
+
+    @property
+    def known(self) -> BoolArray:
+        """Runs that did not fail."""
+        return ~np.isnan(self.y)
+
+    @property
+    def crashes(self) -> FloatArray:
+        """Situations that crashed, shape (k, d)."""
+        return self.x[self.y == 1]
+
+    @property
+    def contradictions(self) -> int:
+        """Outcomes that another outcome contradicts through the order."""
+        return 0 if self.learned is None else self.learned.contradictions
+
+    def implied(self, u: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Which of `u` (n, m) are implied to crash, and which to be safe."""
+        if self.learned is None:
+            none = np.zeros(len(u), dtype=bool)
+            return none, none.copy()
+        label = self.learned.classify(u)
+        return label == Label.CRASH, label == Label.SAFE

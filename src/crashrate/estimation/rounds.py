@@ -1,0 +1,128 @@
+"""Estimating rounds: each an unbiased estimate given the past, combined by predicted variance.
+
+In one round the surrogate's sum over the pool, P0 = Σ w h, is corrected by simulated outcomes y of
+n draws with probabilities pr: e = P0 + mean(w / pr · (y - h)) (a difference estimator, Särndal et
+al. 1992 §6.3). Given the past, E[e] = p whatever h is, as long as pr > 0 where h can be wrong.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from crashrate.estimation.selection import Drawn
+from crashrate.estimation.view import View
+from crashrate.variables import FloatArray
+
+PRIOR_ROUNDS = 4  # the Birge ratio is shrunk to 1 with the weight of this many rounds
+MIN_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round's estimate.
+
+    Parameters
+    ----------
+    n_runs : int
+        Simulator runs that entered it.
+    estimate : float
+    lowest, highest : float
+        The estimate with every failed simulation safe, and with every one a crash.
+    variance : float
+        Predicted before the outcomes were known.
+    largest : float
+        Largest contribution of a single run.
+    """
+
+    n_runs: int
+    estimate: float
+    lowest: float
+    highest: float
+    variance: float
+    largest: float
+
+
+def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
+    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation."""
+    rows, n = drawn.rows, len(drawn.rows)
+    h = view.h[rows]
+    factor = view.weights[rows] / drawn.probabilities[rows]
+    failed = np.isnan(outcomes)
+    moved = factor * (np.where(failed, h, outcomes) - h) / n
+    down, up = (float((factor * np.where(failed, e - h, 0.0)).sum() / n) for e in (0.0, 1.0))
+    estimate = view.probability + float(moved.sum())
+    variance = predicted_variance(view, drawn.probabilities, n) + view.pool_variance
+    largest = float(np.abs(moved).max())
+    return Round(len(np.unique(rows)), estimate, estimate + down, estimate + up, variance, largest)
+
+
+def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
+    """Variance of the correction if h is right: Σ w² h (1-h) / pr / n."""
+    return float((view.spread**2 / np.maximum(probabilities, 1e-300)).sum() / n)
+
+
+@dataclass(frozen=True)
+class Combined:
+    """The rounds together.
+
+    Parameters
+    ----------
+    estimate, standard_error, half_width : float
+        `half_width` at the confidence asked for.
+    lower, upper : float
+        The interval, not below zero; failed simulations counted either way.
+    scatter : float
+        Mean squared deviation of the rounds over their predicted variance: about 1.
+    largest_share : float
+        Largest contribution of a single run over the estimate.
+    """
+
+    estimate: float
+    standard_error: float
+    half_width: float
+    lower: float
+    upper: float
+    scatter: float
+    largest_share: float
+
+
+def combine(rounds: Sequence[Round], confidence: float) -> Combined:
+    """Rounds weighted by the inverse of their predicted variance.
+
+    The interval is Student's, with the predicted variances inflated by the Birge ratio (Birge 1932)
+    of scatter seen to scatter predicted, shrunk towards and never below 1: predictions alone are
+    over-confident where the surrogate is, and the few rounds' own scatter alone under-covers.
+    """
+    weights = np.array([1 / r.variance for r in rounds])
+    weights_sum = float(weights.sum())
+    share = weights / weights_sum
+    estimates = np.array([r.estimate for r in rounds])
+    center = float(share @ estimates)
+    squares = weights * (estimates - center) ** 2
+    freedom = PRIOR_ROUNDS + len(rounds) - 1
+    birge = max(1.0, (PRIOR_ROUNDS + float(squares.sum())) / freedom)
+    error = math.sqrt(birge / weights_sum)
+    half_width = float(stdtrit(freedom, 0.5 + confidence / 2)) * error
+    lowest = float(share @ np.array([r.lowest for r in rounds]))
+    highest = float(share @ np.array([r.highest for r in rounds]))
+    largest = float((share * np.array([r.largest for r in rounds])).max())
+    return Combined(
+        estimate=center,
+        standard_error=error,
+        half_width=half_width,
+        lower=max(lowest - half_width, 0.0),
+        upper=min(highest + half_width, 1.0),
+        scatter=float(squares.mean()),
+        largest_share=largest / center if center > 0 else 1.0,
+    )
+
+
+def log_efficiency(combined: Combined, n_runs: int) -> float:
+    """log E[Z²] / log E[Z] with the variance per simulator run of the combined estimate."""
+    p = combined.estimate
+    if not 0 < p < 1:
+        return math.nan
+    return math.log(combined.standard_error**2 * n_runs + p * p) / math.log(p)

@@ -1,0 +1,83 @@
+"""Which draws of a pool to simulate: to learn the crash set, and to estimate without bias."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crashrate.estimation.view import View, normalised
+from crashrate.variables import FloatArray
+
+N_CANDIDATES = 1200
+MIN_SETTLED = 0.03  # a greedy run must be expected to settle this share of the doubt
+# Shares of the estimating draws: by what a run can tell, by undecided crash mass, by undecided
+# mass, and an audit of what the order implies.
+SPREAD, UNDECIDED_CRASH, UNDECIDED, AUDIT = 0.80, 0.10, 0.05, 0.05
+
+IntArray = np.ndarray
+
+
+def greedy(view: View, n: int, rng: np.random.Generator) -> IntArray:
+    """Up to `n` draws, each expected to settle most of the remaining doubt through the order.
+
+    A crash settles everything above it, a safe outcome everything below.
+    """
+    if n == 0 or not view.spread.sum() > 0:
+        return np.empty(0, dtype=int)
+    rows = np.unique(rng.choice(len(view.h), N_CANDIDATES, p=normalised(view.spread)))
+    u, h = view.pool.u[rows], view.h[rows]
+    above = np.all(u[:, None] >= u[None], axis=2).astype(np.float32)
+    doubt, chosen = np.ones(len(rows)), []
+    for _ in range(n):
+        settled = (1 - h) * (above @ doubt) + h * (above.T @ doubt)
+        best = int(settled.argmax())
+        if settled[best] < MIN_SETTLED * doubt.sum() or not doubt.sum() > 0:
+            break
+        chosen.append(rows[best])
+        doubt = doubt * (1 - (above[best] if h[best] < 0.5 else above[:, best]))
+    return np.array(chosen, dtype=int)
+
+
+def to_learn(view: View, n: int, rng: np.random.Generator, *, ordered: bool) -> IntArray:
+    """`n` draws that teach most about the crash set: half by dominance, half by doubt."""
+    first = greedy(view, n // 2 if ordered else 0, rng)
+    rest = rng.choice(len(view.h), n - len(first), p=view.learning)
+    return np.unique(np.concatenate([first, rest]).astype(int))
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Draws to estimate from.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (n,)
+        In the pool, repeated where drawn repeatedly.
+    probabilities : ndarray, shape (N,)
+        Of each pool row in one draw.
+    """
+
+    rows: IntArray
+    probabilities: FloatArray
+
+
+def to_estimate(view: View, n: int, rng: np.random.Generator) -> Drawn:
+    """`n` draws with known probabilities, systematic along h so that they spread over it."""
+    probabilities = _estimating(view)
+    by_h = np.argsort(view.h, kind="stable")
+    edges = np.cumsum(probabilities[by_h])
+    ticks = (rng.random() + np.arange(n)) / n * edges[-1]
+    rows = by_h[np.minimum(np.searchsorted(edges, ticks), len(by_h) - 1)]
+    return Drawn(rows, probabilities)
+
+
+def _estimating(view: View) -> FloatArray:
+    spread = normalised(view.spread)
+    likely = np.where(view.inner, 1.0, view.surrogate_h)
+    parts = (
+        (SPREAD, view.spread),
+        (UNDECIDED_CRASH, view.weights * view.h * view.undecided),
+        (UNDECIDED, view.weights * view.undecided),
+        (AUDIT, np.where(view.undecided, 0.0, view.weights * likely)),
+    )
+    mixed = sum(s * (normalised(p) if p.sum() > 0 else spread) for s, p in parts)
+    return normalised(np.asarray(mixed))

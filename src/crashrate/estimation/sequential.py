@@ -1,0 +1,284 @@
+"""The default method: learn the crash set with a surrogate, estimate without trusting it.
+
+Rounds of a few simulator runs. Each draws a cheap pool, looks at it through the surrogate and the
+risk order, and chooses runs from it: to learn, while one round could not estimate well; to
+estimate, after. docs/method.md has the reasons.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from crashrate.crash_set.fronts import maximal
+from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.crude import crude
+from crashrate.estimation.exploration import Explored, ask, explore, inflated
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.rounds import (
+    MIN_ROUNDS,
+    Combined,
+    Round,
+    combine,
+    log_efficiency,
+    measure,
+)
+from crashrate.estimation.selection import greedy, to_estimate, to_learn
+from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.estimation.view import Standardiser, View, see
+from crashrate.sampling.gaussians import fit_gaussians
+from crashrate.sampling.pool import Blend, Density, draw_pool
+from crashrate.variables import FloatArray
+
+N_POOL = 20_000
+N_COMPONENTS = 12
+N_FIT = 1000  # draws per aim that the pool's proposal is fitted to
+WIDEN = 1.3
+INFLATE = 4.0
+SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), inflated traffic
+START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
+ROUND = 10
+GREEDY_SHARE = 0.4
+MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE = 6, 0.1
+SCATTER_LIMIT = 3.0
+SHARE_LIMIT = 0.25
+UNDECIDED_LIMIT = 50.0
+MAX_ORDINARY = 50
+ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
+KERNELS = tuple(
+    (bump, length, variance)
+    for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0))
+    for variance in (1e3, 1e4)
+)
+REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
+
+Learner = Generator[Query, FloatArray, Snapshot]
+
+
+@dataclass(frozen=True)
+class Model:
+    """The surrogate's standing: its kernel, the sites of each kernel tried, its coordinates."""
+
+    standardise: Standardiser
+    best: tuple[float, float, float] = KERNELS[0]
+    n_chosen: int = 0
+    warm: tuple[tuple[tuple[float, float, float], Sites], ...] = ()
+
+    def forgetting(self) -> Self:
+        """Without sites: the labels they belong to changed."""
+        return replace(self, warm=(), n_chosen=0)
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything a round starts from."""
+
+    labels: Labels
+    ordinary: FloatArray
+    proposal: Density
+    model: Model
+    rounds: tuple[Round, ...] = ()
+    dropped: bool = False
+    k: int = 1
+
+    @property
+    def ordered(self) -> bool:
+        """Whether a risk order is in use."""
+        return self.labels.learned is not None
+
+
+def sequential(problem: Problem) -> Learner:
+    """Run the default method; see the module."""
+    explored = yield from explore(problem)
+    if not explored.found:
+        found = yield from crude(problem, explored.labels)
+        if isinstance(found, Snapshot):
+            return found
+        explored = replace(explored, labels=found, ordinary=explored.ordinary[:0])
+    state = _begin(problem, explored)
+    snapshot = Snapshot(learned=state.labels.learned)
+    while state.labels.n < problem.max_calls:
+        state, view = yield from _round(problem, state, snapshot)
+        snapshot = _snapshot(problem, state, view)
+        if snapshot.stop_reason is not StopReason.RUNNING:
+            return snapshot
+    return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
+
+
+def _begin(problem: Problem, explored: Explored) -> State:
+    labels, u = explored.labels, explored.ordinary
+    if labels.learned is not None:
+        u = maximal(u)  # the order makes the rest of them safe too
+    ordinary = problem.rng(0).permutation(u)[: MAX_ORDINARY * (1 if labels.learned else 3)]
+    reach = labels.coordinates(_inside(problem, explored))
+    standardise = Standardiser.weighted(reach, np.full(len(reach), 1 / len(reach)))
+    dropped = problem.order is not None and labels.learned is None
+    return State(labels, ordinary, explored.wide, Model(standardise), dropped=dropped)
+
+
+def _inside(problem: Problem, explored: Explored) -> FloatArray:
+    x = explored.wide.sample(N_POOL, problem.rng(0))
+    return x[np.all((x >= problem.traffic.lower) & (x <= problem.traffic.upper), axis=1)]
+
+
+def _round(
+    problem: Problem, state: State, snapshot: Snapshot
+) -> Generator[Query, FloatArray, tuple[State, View]]:
+    """One round: see a fresh pool, choose runs from it, learn their outcomes."""
+    rng = problem.rng(state.k)
+    surrogate, model = _fit(state)
+    proposal = state.proposal
+    for _ in range(2 if state.k == 1 else 0):  # the first proposal is only inflated traffic
+        proposal = _aim(problem, _see(problem, state, surrogate, proposal, rng), state, rng)
+    view = _see(problem, state, surrogate, proposal, rng)
+    if view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability:
+        rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
+        snapshot = replace(snapshot, phase="learn")
+        labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
+        rounds = state.rounds
+    else:
+        labels, rounds = yield from _estimate(problem, state, view, snapshot, rng)
+    standardise = Standardiser.weighted(view.pool.u, view.learning)
+    state = replace(
+        state,
+        labels=labels,
+        rounds=rounds,
+        model=replace(model, standardise=standardise),
+        proposal=_aim(problem, view, state, rng),
+        k=state.k + 1,
+    )
+    return _distrust(state, view), view
+
+
+def _see(
+    problem: Problem,
+    state: State,
+    surrogate: Surrogate,
+    proposal: Density,
+    rng: np.random.Generator,
+) -> View:
+    pool = draw_pool(proposal, problem.traffic, state.labels.coordinates, N_POOL, rng)
+    return see(pool, state.labels, surrogate, state.model.standardise)
+
+
+def _estimate(
+    problem: Problem, state: State, view: View, snapshot: Snapshot, rng: np.random.Generator
+) -> Generator[Query, FloatArray, tuple[Labels, tuple[Round, ...]]]:
+    """Runs drawn with known probabilities, and a few that settle much through the order."""
+    n = problem.batch_size
+    aside = greedy(view, round(GREEDY_SHARE * n) if state.ordered else 0, rng)
+    drawn = to_estimate(view, n - len(aside), rng)
+    rows = np.unique(np.concatenate([drawn.rows, aside]))
+    room = problem.max_calls - state.labels.n
+    if len(rows) > room:  # a cut batch is no unbiased round: its runs are spent on learning
+        labels = yield from _simulate(problem, state.labels, view.pool.x[rows[:room]], snapshot)
+        return labels, state.rounds
+    snapshot = replace(snapshot, phase="estimate")
+    labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
+    outcomes = labels.y[-len(rows) :][np.searchsorted(rows, drawn.rows)]
+    return labels, (*state.rounds, measure(view, drawn, outcomes))
+
+
+def _simulate(
+    problem: Problem, labels: Labels, x: FloatArray, snapshot: Snapshot
+) -> Generator[Query, FloatArray, Labels]:
+    x = x[: problem.max_calls - labels.n]
+    y = yield Query(x, replace(snapshot, learned=labels.learned))
+    return labels.add(x, y)
+
+
+def _fit(state: State) -> tuple[Surrogate, Model]:
+    """Fit the surrogate, with the kernel of the best leave-one-out score."""
+    labels, model = state.labels, state.model
+    known = labels.known
+    u = model.standardise(np.concatenate([state.ordinary, labels.u[known]]))
+    crash = np.concatenate([np.zeros(len(state.ordinary), bool), labels.y[known] == 1])
+    choose = labels.n < REFIT_ALWAYS or labels.n >= REFIT_GROWTH * model.n_chosen
+    warm = dict(model.warm)
+    fits = {
+        kernel: fit_surrogate(u, crash, _prior(kernel, state), warm.get(kernel))
+        for kernel in (KERNELS if choose else (model.best,))
+    }
+    best = max(fits, key=lambda kernel: fits[kernel].log_score)
+    warm |= {kernel: fit.sites for kernel, fit in fits.items()}
+    n_chosen = labels.n if choose else model.n_chosen
+    return fits[best], replace(model, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
+
+
+def _prior(kernel: tuple[float, float, float], state: State) -> Prior:
+    bump, length, variance = kernel
+    length *= np.sqrt(state.labels.u.shape[1] / 3)
+    if state.ordered:
+        return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
+    # without an order no direction is riskier, and far from any crash is safe
+    linear = 0.1 if state.dropped else 0.01
+    return Prior(bump, length, variance, linear=linear, slope=0.0, constant=-4.0)
+
+
+def _aim(problem: Problem, view: View, state: State, rng: np.random.Generator) -> Density:
+    """Where the next pool is drawn: fitted to this one, with two defensive shares."""
+    aims = [view.target, view.learning]
+    if state.ordered and (undecided := view.weights * view.undecided).sum() > 0:
+        aims.append(undecided / undecided.sum())
+    rows = np.concatenate([rng.choice(len(view.h), N_FIT, p=p) for p in aims])
+    fitted = fit_gaussians(view.pool.x[rows], N_COMPONENTS, rng)
+    fitted = replace(fitted, covariances=fitted.covariances * WIDEN)
+    return Blend(SHARES, (fitted, problem.traffic, inflated(problem.traffic, (INFLATE,))))
+
+
+def _distrust(state: State, view: View) -> State:
+    """Drop assumptions that the outcomes speak against."""
+    labels = state.labels
+    limit = max(MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE * labels.n)
+    if labels.contradictions > limit:
+        model = state.model.forgetting()
+        return replace(state, labels=labels.without_order(), rounds=(), dropped=True, model=model)
+    if len(state.ordinary) and view.probability * 1000 > ORDINARY_CRASHES:
+        return replace(state, ordinary=state.ordinary[:0], model=state.model.forgetting())
+    return state
+
+
+def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
+    bounds = view.bounds() if state.ordered else (0.0, 1.0)
+    start = Snapshot(learned=state.labels.learned, bounds=bounds, phase="learn")
+    if not state.rounds:
+        return replace(start, alarms=_alarms(problem, state, None, bounds))
+    c = combine(state.rounds, problem.confidence)
+    n_runs = sum(r.n_runs for r in state.rounds)
+    return replace(
+        start,
+        probability=c.estimate,
+        interval=(c.lower, c.upper),
+        standard_error=c.standard_error,
+        n_eff=(c.estimate / c.standard_error) ** 2,
+        largest_weight_share=c.largest_share,
+        log_efficiency=log_efficiency(c, n_runs),
+        alarms=_alarms(problem, state, c, bounds),
+        phase="estimate",
+        stop_reason=_stop(problem, state, c),
+    )
+
+
+def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
+    narrow = (c.upper - c.lower) / 2 <= problem.relative_half_width * c.estimate
+    if len(state.rounds) >= MIN_ROUNDS and c.estimate > 0 and narrow:
+        return StopReason.TARGET_MET
+    return StopReason.RUNNING
+
+
+def _alarms(
+    problem: Problem, state: State, c: Combined | None, bounds: tuple[float, float]
+) -> tuple[Alarm, ...]:
+    raised = {
+        Alarm.ORDER_DROPPED: state.dropped,
+        Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
+        Alarm.NO_ORDER: problem.order is None or not state.ordered,
+        Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
+        Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
+        Alarm.UNDECIDED_MASS_LARGE: (
+            c is not None and state.ordered and bounds[1] > UNDECIDED_LIMIT * c.estimate
+        ),
+    }
+    return tuple(alarm for alarm, is_raised in raised.items() if is_raised)

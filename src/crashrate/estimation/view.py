@@ -1,0 +1,128 @@
+"""A pool seen through the outcomes so far: the probability that each of its draws crashes."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from crashrate.crash_set.surrogate import Surrogate
+from crashrate.estimation.labels import Labels
+from crashrate.sampling.pool import Pool
+from crashrate.variables import BoolArray, FloatArray
+
+UNSURE = 1e-9  # a surrogate is never certain
+FAR = 1e-3  # without an order, what the surrogate holds below this is taken as safe …
+FAR_PROBABILITY = 1e-14  # … (NO_ORDER alarm): its tails are the prior's, not the data's
+OBJECTION = 0.5  # an implied label counts unless the surrogate holds the opposite likelier
+# exponents of the traffic density and of h (1-h) where outcomes teach most about the crash set
+LEARN_DENSITY, LEARN_VARIANCE = 0.2, 3.0
+
+
+@dataclass(frozen=True)
+class Standardiser:
+    """Shift and scale of the risk coordinates the surrogate sees."""
+
+    center: FloatArray
+    scale: FloatArray
+
+    def __call__(self, u: FloatArray) -> FloatArray:
+        """Standardised coordinates."""
+        return (u - self.center) / self.scale
+
+    @classmethod
+    def weighted(cls, u: FloatArray, weights: FloatArray) -> "Standardiser":
+        """Weighted mean and standard deviation of `u` (n, m)."""
+        center = weights @ u
+        return cls(center, np.sqrt(weights @ (u - center) ** 2) + 1e-12)
+
+
+@dataclass(frozen=True)
+class View:
+    """A pool with what is held about each draw.
+
+    Parameters
+    ----------
+    pool : Pool
+    h : ndarray, shape (n,)
+        P(crash | outcomes): 1 or 0 where implied, the surrogate's elsewhere.
+    surrogate_h : ndarray, shape (n,)
+        The surrogate's, everywhere.
+    inner, safe : ndarray of bool, shape (n,)
+        Implied to crash, implied to be safe, and the surrogate does not object.
+    implied_inner, implied_safe : ndarray of bool, shape (n,)
+        The same whatever the surrogate says: for the bounds.
+    """
+
+    pool: Pool
+    h: FloatArray
+    surrogate_h: FloatArray
+    inner: BoolArray
+    safe: BoolArray
+    implied_inner: BoolArray
+    implied_safe: BoolArray
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """f / (n q) of each draw."""
+        return self.pool.weights
+
+    @property
+    def undecided(self) -> BoolArray:
+        """Neither implied to crash nor to be safe."""
+        return ~(self.inner | self.safe)
+
+    @cached_property
+    def spread(self) -> FloatArray:
+        """Weight times standard deviation of the outcome: what a run at the draw can tell."""
+        return self.weights * np.sqrt(self.h * (1 - self.h))
+
+    @cached_property
+    def probability(self) -> float:
+        """The crash probability if h were right."""
+        return float(self.weights @ self.h)
+
+    @property
+    def pool_variance(self) -> float:
+        """Of `probability`, because the pool is finite."""
+        part = self.weights * self.h
+        return max(float(part @ part) - self.probability**2 / self.pool.n_drawn, 0.0)
+
+    @cached_property
+    def learning(self) -> FloatArray:
+        """Distribution over draws, ∝ f^0.2 (h (1-h))³ / q: where outcomes teach most."""
+        doubt = np.maximum(self.h * (1 - self.h), 1e-300)
+        log = LEARN_DENSITY * self.pool.log_f + LEARN_VARIANCE * np.log(doubt) - self.pool.log_q
+        return normalised(np.exp(log - log.max()))
+
+    @cached_property
+    def target(self) -> FloatArray:
+        """Distribution over draws, ∝ w √h: of which the estimating rounds draw."""
+        return normalised(self.weights * np.sqrt(self.h))
+
+    def bounds(self) -> tuple[float, float]:
+        """P(inner) and P(outer) under the pool, two standard errors to the safe side."""
+        inner, inner_se = self._mass(self.implied_inner)
+        outer, outer_se = self._mass(~self.implied_safe)
+        return max(inner - 2 * inner_se, 0.0), min(outer + 2 * outer_se, 1.0)
+
+    def _mass(self, member: BoolArray) -> tuple[float, float]:
+        part = self.weights[member]
+        total = float(part.sum())
+        return total, float(np.sqrt(max(part @ part - total**2 / self.pool.n_drawn, 0.0)))
+
+
+def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardiser) -> View:
+    """Look at `pool` through the outcomes and the surrogate fitted to them."""
+    crash, safe = labels.implied(pool.u)
+    raw = np.clip(surrogate.probability(standardise(pool.u)), UNSURE, 1 - UNSURE)
+    inner, outside = crash & (raw > 1 - OBJECTION), safe & (raw < OBJECTION)
+    h = np.where(inner, 1.0, np.where(outside, 0.0, raw))
+    if labels.learned is None:
+        h = np.where(h < FAR, FAR_PROBABILITY, h)
+    return View(pool, h, raw, inner, outside, crash, safe)
+
+
+def normalised(weights: FloatArray) -> FloatArray:
+    """`weights` divided by their sum; uniform where that is 0."""
+    total = weights.sum()
+    return weights / total if total > 0 else np.full(len(weights), 1 / len(weights))
