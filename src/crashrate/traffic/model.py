@@ -1,0 +1,291 @@
+"""The traffic model: how often each situation occurs, as a truncated Gaussian mixture."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crashrate.errors import InvalidInputError
+from crashrate.traffic import quadratic
+from crashrate.traffic.model_checks import checked_shapes, checked_weights, json_provenance
+from crashrate.traffic.model_json import from_document, to_document
+from crashrate.traffic.truncated_normal import (
+    box_moments,
+    log_box_probability,
+    sample_truncated,
+)
+from crashrate.variables import FloatArray, as_rows, frozen
+
+# A component that puts less than this in the box is a numerical accident, not a fit.
+_MIN_LOG_MASS = -690.0  # 1e-300
+
+
+@dataclass(frozen=True, eq=False)
+class TrafficModel:
+    """A mixture of normals truncated to a box (paper, eq. 2), in the variables' units.
+
+    The density is sum_k w_k N(x; m_k, C_k) / P_k on the box, where P_k is the probability of the
+    box under the untruncated component, and 0 outside.
+
+    Parameters
+    ----------
+    weights : array_like (K,)
+        Weights of the truncated components.
+    means : array_like (K, d)
+        Means of the untruncated components.
+    covariances : array_like (K, d, d)
+        Their covariances.
+    lower, upper : array_like (d,)
+        The box, infinite where there is no limit.
+    names : sequence of str
+        Names of the d variables, Python identifiers.
+    provenance : mapping, optional
+        Where the numbers come from: anything that JSON can hold.
+
+    Attributes
+    ----------
+    log_masses : ndarray (K,)
+        Log probability P_k of the box under each untruncated component.
+    mean, covariance : ndarray (d,), (d, d)
+        Moments of the mixture.
+
+    Raises
+    ------
+    InvalidInputError
+        If shapes do not fit, weights are not a distribution, a covariance is not positive
+        definite, a name is bad, or a component has practically no mass in the box.
+    """
+
+    weights: FloatArray
+    means: FloatArray
+    covariances: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    names: tuple[str, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    log_masses: FloatArray = field(init=False, repr=False)
+    mean: FloatArray = field(init=False, repr=False)
+    covariance: FloatArray = field(init=False, repr=False)
+    _coefficients: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._set(names=tuple(self.names), provenance=json_provenance(self.provenance))
+        for name in ("weights", "means", "covariances", "lower", "upper"):
+            self._set(**{name: frozen(getattr(self, name))})
+        checked_shapes(self)
+        self._set(weights=frozen(checked_weights(self.weights)))
+        self._set_moments()
+        self._set(_coefficients=frozen(self._standard_coefficients()))
+
+    def _set(self, **values: Any) -> None:
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _set_moments(self) -> None:
+        """Masses of the components, and the mean and covariance of the mixture."""
+        parts = box_moments(self.means, self.covariances, self.lower, self.upper)
+        worst = int(np.argmin(parts.log_probability))
+        if parts.log_probability[worst] < _MIN_LOG_MASS:
+            raise InvalidInputError(
+                f"component {worst}: expected some of its mass in the box, got a log probability "
+                f"of {parts.log_probability[worst]:.4g}; its mean {self.means[worst]} lies too "
+                f"many standard deviations outside [{self.lower}, {self.upper}]."
+            )
+        mean = self.weights @ parts.mean
+        spread = parts.mean - mean
+        between = np.einsum("k,ki,kj->ij", self.weights, spread, spread)
+        covariance = np.einsum("k,kij->ij", self.weights, parts.covariance) + between
+        self._set(
+            log_masses=frozen(parts.log_probability),
+            mean=frozen(mean),
+            covariance=frozen(covariance),
+        )
+
+    @property
+    def _scale(self) -> FloatArray:
+        return np.sqrt(np.diagonal(self.covariance))
+
+    def _standard_coefficients(self) -> FloatArray:
+        """Coefficients of log w_k g_k in the features of (x - mean) / scale."""
+        scale = self._scale
+        covariances = self.covariances / np.outer(scale, scale)
+        log_determinants = np.asarray(np.linalg.slogdet(covariances)[1], float)
+        with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
+            log_weights = np.log(self.weights)
+        log_scale = (
+            log_weights
+            - self.log_masses
+            - 0.5 * log_determinants
+            - 0.5 * self.n_variables * np.log(2.0 * np.pi)
+            - np.log(scale).sum()
+        )
+        means = (self.means - self.mean) / scale
+        return quadratic.coefficients(log_scale, means, np.linalg.inv(covariances))
+
+    @property
+    def n_components(self) -> int:
+        """Number K of components."""
+        return len(self.weights)
+
+    @property
+    def n_variables(self) -> int:
+        """Number d of variables."""
+        return len(self.names)
+
+    @property
+    def component_masses(self) -> FloatArray:
+        """Probability (K,) of the box under each untruncated component."""
+        return np.exp(self.log_masses)
+
+    def sample(self, n: int, rng: np.random.Generator | int | None = None) -> FloatArray:
+        """Independent draws (n, d), in random order.
+
+        Parameters
+        ----------
+        n : int
+        rng : numpy.random.Generator or int, optional
+            A generator, or the seed of one.
+
+        Raises
+        ------
+        InvalidInputError
+            If n is negative.
+        """
+        if n < 0:
+            raise InvalidInputError(f"n: expected a number of draws >= 0, got {n}.")
+        generator = np.random.default_rng(rng)
+        counts = generator.multinomial(n, self.weights)
+        parts = [
+            sample_truncated(mean, covariance, self.lower, self.upper, int(count), generator)
+            for mean, covariance, count in zip(self.means, self.covariances, counts, strict=True)
+            if count
+        ]
+        x = np.concatenate([np.empty((0, self.n_variables)), *parts])
+        generator.shuffle(x)
+        return x
+
+    def contains(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Which rows (n, d) lie in the box, sides included: (n,)."""
+        rows = as_rows(x, self.n_variables)
+        return np.asarray(((rows >= self.lower) & (rows <= self.upper)).all(axis=1))
+
+    def log_density(self, x: npt.ArrayLike) -> FloatArray:
+        """Log density (n,) of rows (n, d); -inf outside the box.
+
+        Raises
+        ------
+        InvalidInputError
+            If x has another shape, or a value that is not finite.
+        """
+        rows = as_rows(x, self.n_variables)
+        out = np.empty(len(rows))
+        for block in quadratic.blocks(len(rows)):
+            out[block] = quadratic.log_sum(self._block_terms(rows[block]))
+        out[~self.contains(rows)] = -np.inf
+        return out
+
+    def log_component_densities(self, x: npt.ArrayLike) -> FloatArray:
+        """log w_k g_k(x) of every component: (n, K); -inf outside the box."""
+        rows = as_rows(x, self.n_variables)
+        out = np.empty((len(rows), self.n_components))
+        for block in quadratic.blocks(len(rows)):
+            out[block] = self._block_terms(rows[block]).T
+        out[~self.contains(rows)] = -np.inf
+        return out
+
+    def _block_terms(self, rows: FloatArray) -> FloatArray:
+        """log w_k g_k (K, n) of a block of rows, as if there were no box."""
+        terms = self._coefficients @ quadratic.features((rows - self.mean) / self._scale)
+        return np.asarray(terms)
+
+    def box_probability(self, lo: npt.ArrayLike, hi: npt.ArrayLike) -> FloatArray:
+        """Probability of boxes under the model, without sampling.
+
+        Parameters
+        ----------
+        lo, hi : array_like (m, d) or (d,)
+            Sides of the boxes, infinite where there is none; a box with lo >= hi is empty.
+
+        Returns
+        -------
+        ndarray
+            (m,), or a scalar array where both `lo` and `hi` are single.
+
+        Raises
+        ------
+        InvalidInputError
+            If shapes do not fit, or a side is nan.
+        """
+        low, high = self._boxes(lo, hi)
+        single = low.ndim == 1
+        low, high = np.atleast_2d(low), np.atleast_2d(high)
+        out = np.zeros(len(low))
+        there = np.flatnonzero((low < high).all(axis=1))
+        if len(there):
+            parts = self._log_box_parts(low[there], high[there])
+            out[there] = np.exp(parts - self.log_masses) @ self.weights
+        return out[0] if single else out
+
+    def _boxes(self, lo: npt.ArrayLike, hi: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """The parts of the boxes inside the model's own."""
+        low, high = np.asarray(lo, float), np.asarray(hi, float)
+        for what, side in (("lo", low), ("hi", high)):
+            if side.shape[-1:] != (self.n_variables,) or side.ndim > 2 or np.isnan(side).any():
+                raise InvalidInputError(
+                    f"{what}: expected numbers (m, {self.n_variables}) or "
+                    f"({self.n_variables},) for {', '.join(self.names)}, got {side.shape}"
+                    f"{' with nan in it' if np.isnan(side).any() else ''}."
+                )
+        try:
+            low, high = np.broadcast_arrays(low, high)
+        except ValueError:
+            raise InvalidInputError(
+                f"lo and hi: expected as many boxes in both, got {low.shape} and {high.shape}."
+            ) from None
+        return np.maximum(low, self.lower), np.minimum(high, self.upper)
+
+    def _log_box_parts(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Log probability (m, K) of non-empty boxes under each untruncated component."""
+        m, k = len(low), self.n_components
+        log_p = log_box_probability(
+            np.tile(self.means, (m, 1)),
+            np.tile(self.covariances, (m, 1, 1)),
+            np.repeat(low, k, axis=0),
+            np.repeat(high, k, axis=0),
+        )
+        return log_p.reshape(m, k)
+
+    def to_json(self, path: str | Path | None = None) -> str:
+        """The model as JSON text, floats exact; also written to `path` where one is given."""
+        text = json.dumps(to_document(self), indent=1) + "\n"
+        if path is not None:
+            Path(path).write_text(text, encoding="utf-8")
+        return text
+
+    @classmethod
+    def from_json(cls, text_or_path: str | Path) -> "TrafficModel":
+        """A model from its JSON text, or from the file that holds it.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is no such file, or it is not the JSON of a traffic model.
+        """
+        return cls(**from_document(text_or_path))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, TrafficModel):
+            return NotImplemented
+        return to_document(self) == to_document(other)
+
+    def __hash__(self) -> int:
+        return hash((self.names, self.weights.tobytes(), self.means.tobytes()))
+
+
+def default_names(d: int) -> Sequence[str]:
+    """x0, x1, ...: names for variables that have none."""
+    return tuple(f"x{i}" for i in range(d))

@@ -1,0 +1,99 @@
+"""What a traffic model's numbers must be; each check names what came and where."""
+
+import copy
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crashrate.errors import InvalidInputError
+from crashrate.variables import FloatArray
+
+if TYPE_CHECKING:
+    from crashrate.traffic.model import TrafficModel
+
+_WEIGHT_TOLERANCE = 1e-6
+_ROUNDING = 1e-12
+
+
+def checked_shapes(model: "TrafficModel") -> None:
+    """Refuse names, shapes, sides and covariances that are not those of a mixture on a box."""
+    _check_names(model.names)
+    k, d = len(np.atleast_1d(model.weights)), len(model.names)
+    expected = {"weights": (k,), "means": (k, d), "covariances": (k, d, d)}
+    expected |= {"lower": (d,), "upper": (d,)}
+    for name, shape in expected.items():
+        array = getattr(model, name)
+        if array.shape != shape or k == 0:
+            raise InvalidInputError(
+                f"{name}: expected shape {shape} for {k} components of {d} variables "
+                f"({', '.join(model.names)}), got {array.shape}."
+            )
+    for name in ("weights", "means", "covariances"):
+        if not np.isfinite(getattr(model, name)).all():
+            raise InvalidInputError(f"{name}: expected finite numbers, got nan or inf.")
+    _check_sides(model)
+    _check_covariances(model.covariances)
+
+
+def _check_names(names: tuple[str, ...]) -> None:
+    if not names:
+        raise InvalidInputError("names: expected at least one variable, got none.")
+    for name in names:
+        if not isinstance(name, str) or not name.isidentifier():
+            raise InvalidInputError(
+                f"names: expected Python identifiers such as 'v_lead', got {name!r}."
+            )
+    if len(set(names)) < len(names):
+        raise InvalidInputError(f"names: expected each name once, got {', '.join(names)}.")
+
+
+def _check_sides(model: "TrafficModel") -> None:
+    for name, low, high in zip(model.names, model.lower, model.upper, strict=True):
+        if not low < high:
+            raise InvalidInputError(
+                f"variable {name!r}: expected lower < upper, got lower = {low} and upper = {high}."
+            )
+
+
+def _check_covariances(covariances: FloatArray) -> None:
+    for k, covariance in enumerate(covariances):
+        size = np.sqrt(np.abs(np.diagonal(covariance)))
+        if not np.allclose(covariance, covariance.T, rtol=0.0, atol=1e-8 * size.max() ** 2):
+            raise InvalidInputError(f"covariance {k}: expected a symmetric matrix.")
+        try:
+            np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError:
+            raise InvalidInputError(
+                f"covariance {k}: expected a positive definite matrix, got eigenvalues "
+                f"{np.linalg.eigvalsh(covariance)}."
+            ) from None
+
+
+def checked_weights(weights: FloatArray) -> FloatArray:
+    """Weights that sum to one; only a rounding-sized excess is normalised away.
+
+    Raises
+    ------
+    InvalidInputError
+        If one is negative, or they do not sum to one.
+    """
+    total = float(weights.sum())
+    if not (weights >= 0.0).all() or abs(total - 1.0) > _WEIGHT_TOLERANCE:
+        raise InvalidInputError(
+            f"weights: expected numbers >= 0 that sum to 1, got {weights} with sum {total:.9g}."
+        )
+    # Weights that already sum to one keep their bits: a model survives JSON unchanged.
+    return weights if abs(total - 1.0) < _ROUNDING else weights / total
+
+
+def json_provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """A deep copy of `provenance`, refused where JSON cannot hold it."""
+    try:
+        json.dumps(dict(provenance))
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(
+            f"provenance: expected a mapping that JSON can hold, got {error}."
+        ) from None
+    return copy.deepcopy(dict(provenance))

@@ -1,0 +1,58 @@
+"""Log normal densities as one matrix product: they are linear in (1, y, y y').
+
+A block of rows becomes a feature matrix, K components a coefficient matrix, and the K log
+densities of every row their product; blocks keep it in the cache and never hold N x K numbers.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from crashrate.variables import FloatArray
+
+BLOCK = 4096
+
+
+def n_features(d: int) -> int:
+    """1 + d + d (d + 1) / 2."""
+    return 1 + d + d * (d + 1) // 2
+
+
+def features(y: FloatArray) -> FloatArray:
+    """Rows (n, d) -> features (n_features, n): 1, y, then y_i y_j for i <= j."""
+    n, d = y.shape
+    out = np.empty((n_features(d), n))
+    out[0] = 1.0
+    out[1 : d + 1] = y.T
+    i, j = np.triu_indices(d)
+    np.multiply(out[1 + i], out[1 + j], out=out[d + 1 :])
+    return out
+
+
+def pair_factors(d: int) -> FloatArray:
+    """The factor of y_i y_j in -y' P y / 2, per entry P_ij: -1/2 on the diagonal, else -1."""
+    i, j = np.triu_indices(d)
+    return np.where(i == j, -0.5, -1.0)
+
+
+def coefficients(log_scale: FloatArray, means: FloatArray, precisions: FloatArray) -> FloatArray:
+    """Coefficients (K, n_features) of log_scale - (y - mean)' precision (y - mean) / 2."""
+    d = means.shape[1]
+    i, j = np.triu_indices(d)
+    linear = np.einsum("kij,kj->ki", precisions, means)
+    constant = log_scale - 0.5 * np.einsum("ki,ki->k", linear, means)
+    return np.hstack([constant[:, None], linear, precisions[:, i, j] * pair_factors(d)])
+
+
+def blocks(n: int) -> Iterator[slice]:
+    """Slices that cover n rows."""
+    for start in range(0, n, BLOCK):
+        yield slice(start, min(start + BLOCK, n))
+
+
+def log_sum(terms: FloatArray) -> FloatArray:
+    """log sum exp over the first axis; `terms` (K, n) is replaced by exp(terms - largest)."""
+    top = terms.max(axis=0)
+    terms -= top
+    np.exp(terms, out=terms)
+    return np.asarray(top + np.log(terms.sum(axis=0)))

@@ -1,0 +1,167 @@
+"""Integration nodes over a truncated normal: all links of its chain but the last, which is exact."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from crashrate.errors import NumericalError
+from crashrate.traffic.one_dimension import (
+    LOG_SQRT_2PI,
+    effective_stretch,
+    log_interval_probability,
+    quantile,
+)
+from crashrate.traffic.tilting import Chain, IntArray, Tilting, saddle_points
+from crashrate.variables import BoolArray, FloatArray
+
+# Gauss-Legendre nodes per dimension, refined until two rungs agree; each rung is good to about
+# the square of what the difference from the one before shows.
+_RUNGS = (20, 36, 72, 144)
+_AGREEMENT = 1e-6
+_MAX_TENSOR_DIMENSION = 3
+_SOBOL_SEED = 20170611  # fixed: the same box gives the same bits
+_SOBOL_LOG2 = 15  # 8 x 4096 points
+_MAX_NUMBERS = 2_000_000  # in one array of nodes
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """Weighted points in the chains of B boxes.
+
+    Attributes
+    ----------
+    points : ndarray (B, n, d - 1)
+        All links but the last.
+    lower, upper : ndarray (B, n)
+        The interval of the last link, which is standard normal on it.
+    log_weight : ndarray (B, n)
+        Log of weight times density, the probability of the last link included.
+    """
+
+    points: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    log_weight: FloatArray
+
+    def log_probability(self) -> FloatArray:
+        """Log probability (B,) of the boxes."""
+        top = self.log_weight.max(axis=1)
+        return np.asarray(top + np.log(np.exp(self.log_weight - top[:, None]).sum(axis=1)))
+
+    def take(self, boxes: IntArray | BoolArray) -> "Nodes":
+        """The nodes of some boxes."""
+        return Nodes(
+            self.points[boxes], self.lower[boxes], self.upper[boxes], self.log_weight[boxes]
+        )
+
+    def shares(self) -> FloatArray:
+        """Weights (B, n) that sum to one in each box."""
+        weights = np.exp(self.log_weight - self.log_weight.max(axis=1, keepdims=True))
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def tensor_nodes(chain: Chain, tilting: Tilting, n: int) -> Nodes:
+    """Tensor Gauss-Legendre nodes, n per link, on the stretches where the tilted chain has mass.
+
+    The tilted chain dominates the true one up to a constant, so its stretches hold all the mass.
+    """
+    n_boxes, d = chain.shape
+    points = np.empty((n_boxes, 1, 0))
+    log_weight = np.zeros((n_boxes, 1))
+    for i in range(d - 1):
+        shift = np.einsum("bni,bi->bn", points, chain.coupling[:, i, :i])
+        shift += tilting.tilt[:, i, None]
+        stretch = effective_stretch(
+            chain.lower[:, i, None] - shift, chain.upper[:, i, None] - shift
+        )
+        offsets, log_step = stretch.nodes(n)
+        z = tilting.tilt[:, i, None, None] + stretch.mode[..., None] + offsets
+        log_weight = (log_weight[..., None] + log_step - 0.5 * z * z - LOG_SQRT_2PI).reshape(
+            n_boxes, -1
+        )
+        points = np.concatenate([np.repeat(points, n, axis=1), z.reshape(n_boxes, -1, 1)], axis=2)
+    return _close(chain, points, log_weight)
+
+
+def sobol_nodes(chain: Chain, tilting: Tilting, log2_points: int = _SOBOL_LOG2) -> Nodes:
+    """Scrambled Sobol points mapped through the tilted chain (Botev 2017, eq. 7)."""
+    n_boxes, d = chain.shape
+    uniform = _sobol(d - 1, log2_points)
+    points = np.empty((n_boxes, len(uniform), d - 1))
+    log_weight = np.full((n_boxes, len(uniform)), -np.log(len(uniform)))
+    for i in range(d - 1):
+        tilt = tilting.tilt[:, i, None]
+        shift = np.einsum("bni,bi->bn", points[:, :, :i], chain.coupling[:, i, :i]) + tilt
+        low, high = chain.lower[:, i, None] - shift, chain.upper[:, i, None] - shift
+        z = tilt + quantile(uniform[:, i], low, high)
+        log_weight += log_interval_probability(low, high) + tilt * (0.5 * tilt - z)
+        points[:, :, i] = z
+    return _close(chain, points, log_weight)
+
+
+def _close(chain: Chain, points: FloatArray, log_weight: FloatArray) -> Nodes:
+    """Nodes with the last link's interval and probability."""
+    shift = np.einsum("bni,bi->bn", points, chain.coupling[:, -1, :-1])
+    lower, upper = chain.lower[:, -1:] - shift, chain.upper[:, -1:] - shift
+    return Nodes(points, lower, upper, log_weight + log_interval_probability(lower, upper))
+
+
+@cache
+def _sobol(d: int, log2_points: int) -> FloatArray:
+    """Scrambled Sobol points (2 ** log2_points, d), strictly inside the unit cube."""
+    from scipy.stats.qmc import Sobol
+
+    points = Sobol(d, scramble=True, seed=_SOBOL_SEED).random_base2(log2_points)
+    # The scrambled points lie on a grid that includes 0: the middle of the cell is inside.
+    return np.asarray(points + 2.0**-31)
+
+
+def fixed_nodes(chain: Chain, n: int, log2_points: int) -> Nodes:
+    """Nodes of a fixed number, unchecked: for optimisers, which check their answer in the end."""
+    tilting = saddle_points(chain)
+    if chain.shape[1] <= _MAX_TENSOR_DIMENSION:
+        return tensor_nodes(chain, tilting, n)
+    return sobol_nodes(chain, tilting, log2_points)
+
+
+def refined_nodes(chain: Chain) -> Iterator[tuple[IntArray, Nodes]]:
+    """Groups of boxes with nodes that are accurate for them: (indices (b,), their nodes).
+
+    Raises
+    ------
+    NumericalError
+        If the finest rung still disagrees with the one before.
+    """
+    tilting = saddle_points(chain)
+    n_boxes, d = chain.shape
+    pending = np.arange(n_boxes)
+    if d > _MAX_TENSOR_DIMENSION:
+        for group in _groups(pending, 2**_SOBOL_LOG2 * d):
+            yield group, sobol_nodes(chain.take(group), tilting.take(group))
+        return
+    log_p = np.full(n_boxes, 0.0 if d == 1 else np.nan)  # one link is exact on any rung
+    for n in _RUNGS:
+        unsettled = []
+        for group in _groups(pending, n ** (d - 1) * d):
+            nodes = tensor_nodes(chain.take(group), tilting.take(group), n)
+            new = nodes.log_probability()
+            settled = (np.abs(new - log_p[group]) < _AGREEMENT) | (d == 1)
+            log_p[group] = new
+            unsettled.append(group[~settled])
+            yield group[settled], nodes.take(settled)
+        pending = np.concatenate(unsettled)
+        if not len(pending):
+            return
+    raise NumericalError(
+        f"box probability: {len(pending)} of {n_boxes} integrals had not settled with "
+        f"{_RUNGS[-1]} nodes per dimension; the covariance is close to singular, so drop or "
+        "rescale a variable that the others determine."
+    )
+
+
+def _groups(boxes: IntArray, n_numbers: int) -> list[IntArray]:
+    """`boxes` in groups whose nodes fit in memory, each box having `n_numbers` of them."""
+    size = max(1, _MAX_NUMBERS // n_numbers)
+    return [boxes[i : i + size] for i in range(0, max(len(boxes), 1), size)]
