@@ -35,7 +35,7 @@ class AccAebSimulator:
     """
 
     plant: AccAeb
-    columns: tuple[tuple[str, Column], ...]
+    columns: Mapping[str, Column] | Sequence[tuple[str, Column]]
 
     def __post_init__(self) -> None:
         given = dict(self.columns)
@@ -94,7 +94,10 @@ class AccAebSimulator:
     def inputs(self, x: npt.ArrayLike) -> dict[str, FloatArray]:
         """The plant's inputs for the situations `x` (n, d), each (n,), by name."""
         rows = np.asarray(x, dtype=np.float64)
-        return {name: np.asarray(column(rows), dtype=np.float64) for name, column in self.columns}
+        return {
+            name: np.asarray(column(rows), dtype=np.float64)
+            for name, column in dict(self.columns).items()
+        }
 
 
 def _column(name: str, names: Sequence[str], derived: Mapping[str, Expression]) -> Expression:
