@@ -1,6 +1,5 @@
 """The record of a run: what its folder holds, read for reports and status."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from crashrate.errors import StoreError
+from crashrate.runs.result import RESULT, read_result
 from crashrate.runs.scenario import Scenario
 from crashrate.runs.store import Batch, RunStore
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray, frozen
-
-RESULT = "result.json"
 
 
 @dataclass(frozen=True)
@@ -68,32 +66,6 @@ def load_run(directory: str | Path) -> RunRecord:
         result=result,
         synthetic=bool(result["synthetic"]),
     )
-
-
-def read_result(directory: Path) -> dict[str, Any]:
-    """What `result.json` in the run folder says.
-
-    Raises
-    ------
-    StoreError
-        If it is missing or damaged.
-    """
-    path = directory / RESULT
-    try:
-        result = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise StoreError(
-            f"{path}: no result yet; start or resume the run with 'crashrate run'."
-        ) from None
-    except (OSError, ValueError) as error:
-        raise StoreError(
-            f"{path}: expected JSON written by crashrate, got: {error}; write it again with "
-            "'crashrate run' and the same arguments (no simulator run is repeated)."
-        ) from error
-    missing = {"schema", "probability", "n_calls", "synthetic"} - set(result)
-    if missing:
-        raise StoreError(f"{path}: expected the keys {', '.join(sorted(missing))}, found none.")
-    return dict(result)
 
 
 def _rows(

@@ -17,14 +17,11 @@ FILE = "campaign.sqlite"
 TABLES = """
 CREATE TABLE config (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE batches (
-    id INTEGER PRIMARY KEY,
-    k INTEGER NOT NULL,
+    k INTEGER PRIMARY KEY,
     n INTEGER NOT NULL,
     x BLOB NOT NULL,
-    outcomes BLOB NOT NULL,
-    set_aside INTEGER NOT NULL DEFAULT 0
+    outcomes BLOB NOT NULL
 );
-CREATE UNIQUE INDEX one_batch_each ON batches (k) WHERE NOT set_aside;
 """
 FLOAT = np.dtype("<f8")  # little-endian on every machine
 
@@ -40,8 +37,7 @@ class Batch:
 class RunStore:
     """What a run folder remembers: its configuration and every batch of outcomes.
 
-    A batch is written whole or not at all. Nothing is deleted: batches that a continued campaign
-    no longer asks for are marked as set aside.
+    A batch is written whole or not at all, and nothing is deleted.
 
     Parameters
     ----------
@@ -116,12 +112,7 @@ class RunStore:
             rows: list[tuple[str, str]] = connection.execute("SELECT * FROM config").fetchall()
         return dict(rows)
 
-    def set_config(self, key: str, value: str) -> None:
-        """Write one text of the configuration."""
-        with self._transaction() as connection:
-            connection.execute("INSERT OR REPLACE INTO config VALUES (?, ?)", (key, value))
-
-    def batches(self, n_variables: int, *, set_aside: bool = False) -> list[Batch]:
+    def batches(self, n_variables: int) -> list[Batch]:
         """The batches, in the order in which they were asked for.
 
         Raises
@@ -129,17 +120,16 @@ class RunStore:
         StoreError
             If one is missing or its size is not what it says.
         """
+        query = "SELECT k, n, x, outcomes FROM batches ORDER BY k"
         with self._transaction() as connection:
-            rows = connection.execute(
-                "SELECT k, n, x, outcomes FROM batches WHERE set_aside = ? ORDER BY k, id",
-                (int(set_aside),),
-            ).fetchall()
-        if not set_aside and [row[0] for row in rows] != list(range(len(rows))):
-            raise self._damaged(f"batches 0 to {len(rows) - 1}", str([row[0] for row in rows]))
+            rows = connection.execute(query).fetchall()
+        numbers = [row[0] for row in rows]
+        if numbers != list(range(len(rows))):
+            raise self._damaged(f"batches 0 to {len(rows) - 1}", f"batches {numbers}")
         return [self._batch(row, n_variables) for row in rows]
 
     def append(self, k: int, batch: Batch) -> None:
-        """Write batch `k`, whole or not at all.
+        """Write the new batch `k`, whole or not at all.
 
         Raises
         ------
@@ -148,12 +138,13 @@ class RunStore:
         """
         row = (k, len(batch.x), _blob(batch.x), _blob(batch.outcomes))
         with self._transaction() as connection:
-            connection.execute("INSERT INTO batches (k, n, x, outcomes) VALUES (?, ?, ?, ?)", row)
+            connection.execute("INSERT INTO batches VALUES (?, ?, ?, ?)", row)
 
-    def set_aside_from(self, k: int) -> None:
-        """Mark batch `k` and all after it as no part of the campaign any more."""
+    def extend(self, k: int, batch: Batch) -> None:
+        """Write batch `k` again, with more rows after those it has: the budget had cut it short."""
+        row = (len(batch.x), _blob(batch.x), _blob(batch.outcomes), k)
         with self._transaction() as connection:
-            connection.execute("UPDATE batches SET set_aside = 1 WHERE k >= ?", (k,))
+            connection.execute("UPDATE batches SET n = ?, x = ?, outcomes = ? WHERE k = ?", row)
 
     def close(self) -> None:
         """Close the file."""

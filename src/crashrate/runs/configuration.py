@@ -1,0 +1,102 @@
+"""The configuration of a run: what must be equal for a run folder to be continued."""
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+from platform import python_version
+from typing import Any
+
+import numpy as np
+
+from crashrate.errors import InvalidInputError, ScenarioError, StoreError
+from crashrate.estimation.campaign import Campaign
+from crashrate.runs.scenario import Scenario
+from crashrate.traffic.model import TrafficModel
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    packages = {name: version(name) for name in ("crashrate", "numpy", "scipy")}
+    return packages | {"python": python_version()}
+
+
+def require_same_variables(scenario: Scenario, traffic: TrafficModel) -> None:
+    """Refuse a traffic model of other variables or bounds than the scenario's.
+
+    Raises
+    ------
+    InvalidInputError
+        Naming both.
+    """
+    if tuple(traffic.names) != scenario.names:
+        raise InvalidInputError(
+            f"traffic model: expected the variables of the scenario {scenario.name!r}, "
+            f"({', '.join(scenario.names)}), got ({', '.join(traffic.names)}); fit one with "
+            "'crashrate fit EVENTS --scenario SCENARIO --out traffic.json'."
+        )
+    for side in ("lower", "upper"):
+        wanted, got = np.array(getattr(scenario, side)), np.asarray(getattr(traffic, side))
+        for name, want, have in zip(scenario.names, wanted, got, strict=True):
+            if not np.isclose(want, have, rtol=1e-9, atol=0.0):
+                raise InvalidInputError(
+                    f"traffic model: expected the bounds of the scenario {scenario.name!r}, "
+                    f"{side} = {want:g} for {name}, got {have:g}; fit one for this scenario."
+                )
+
+
+def configuration(scenario: Scenario, traffic: TrafficModel, campaign: Campaign) -> dict[str, str]:
+    """What the store keeps of a run, key to text."""
+    problem = campaign.problem
+    return {
+        "scenario_name": scenario.name,
+        "scenario": scenario.to_text(),
+        "traffic": traffic.to_json(),
+        "seed": str(problem.seed),
+        "method": campaign.method,
+        "batch_size": str(problem.batch_size),
+        "versions": json.dumps(versions()),
+    }
+
+
+def require_same_run(directory: Path, stored: dict[str, str], asked: dict[str, str]) -> None:
+    """Refuse to continue the run of another configuration.
+
+    Raises
+    ------
+    StoreError
+        Saying what differs and what to do.
+    """
+    differences = _differences(stored, asked)
+    if differences:
+        raise StoreError(
+            f"{directory}: holds a run of another configuration: {'; '.join(differences)}. "
+            "Choose another --out, or give the arguments of the run that is there."
+        )
+
+
+def _differences(stored: dict[str, str], asked: dict[str, str]) -> list[str]:
+    had, has = _identity(stored), _identity(asked)
+    return [
+        f"{key}: has {_short(had[key])}, asked for {_short(has[key])}"
+        for key in has
+        if had[key] != has[key]
+    ]
+
+
+def _identity(config: dict[str, str]) -> dict[str, Any]:
+    try:
+        scenario = Scenario.from_text(config["scenario"], config["scenario_name"])
+        traffic = json.loads(config["traffic"])
+        plain = {key: config[key] for key in ("seed", "method", "batch_size")}
+    except (KeyError, ValueError, ScenarioError) as error:
+        raise StoreError(
+            f"run folder: expected a configuration written by crashrate, got: {error}; restore "
+            "the folder from a copy, or choose another --out."
+        ) from error
+    traffic.pop("provenance", None)  # where the numbers came from changes no number
+    return scenario.identity | plain | {"traffic model": traffic}
+
+
+def _short(value: Any, limit: int = 80) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= limit else f"{text[:limit]}…"

@@ -1,0 +1,214 @@
+"""The runner: a campaign, a simulator and a store, where the three meet.
+
+A run is a function of (configuration, seed, outcomes), so resume is replay: the stored outcomes
+are told to a new campaign, which must ask for the stored situations again, bit for bit.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from crashrate.errors import SimulationError, StoreError
+from crashrate.estimation.campaign import Campaign
+from crashrate.estimation.estimate import Estimate
+from crashrate.estimation.strategy import Problem
+from crashrate.runs.configuration import (
+    configuration,
+    require_same_run,
+    require_same_variables,
+    versions,
+)
+from crashrate.runs.result import read_result, result_dict, write_result
+from crashrate.runs.scenario import Scenario
+from crashrate.runs.store import Batch, RunStore
+from crashrate.runs.vehicle import Simulate
+from crashrate.simulators import check_outcomes
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray
+
+Number = TypeVar("Number", int, float)
+
+SECONDS_BETWEEN_RESULTS = 1.0  # so that status can follow a run, and writing costs nothing
+
+
+def run(
+    scenario: Scenario,
+    traffic: TrafficModel,
+    out: str | Path,
+    *,
+    seed: int = 0,
+    method: str = "sequential",
+    relative_half_width: float | None = None,
+    max_calls: int | None = None,
+    batch_size: int = Problem.batch_size,
+    on_progress: Callable[[Campaign], None] | None = None,
+) -> Estimate:
+    """Run a scenario in traffic, in a folder that a later call continues.
+
+    An interrupted run is resumed by the same call. Target and budget may change from one call to
+    the next: the campaign goes on from what is stored.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    traffic : TrafficModel
+        On the scenario's variables and bounds.
+    out : str or Path
+        The run folder, made where it is missing.
+    seed, method, batch_size
+        As of `Campaign`.
+    relative_half_width, max_calls : optional
+        Target and budget; the scenario's where not given.
+    on_progress : callable, optional
+        Called with the campaign after every batch.
+
+    Returns
+    -------
+    Estimate
+        Also in `result.json`, which is whole at every moment.
+
+    Raises
+    ------
+    InvalidInputError
+        If an argument is not as described, or the traffic model has other variables.
+    StoreError
+        If the folder holds the run of another configuration, or is damaged.
+    SimulationError
+        If the simulator failed; everything before is stored, and the same call resumes.
+    """
+    directory, target = Path(out), scenario.target
+    require_same_variables(scenario, traffic)
+    campaign = Campaign(
+        traffic,
+        risk=scenario.risk_mapping(),
+        seed=seed,
+        relative_half_width=_given(relative_half_width, target.relative_half_width),
+        max_calls=_given(max_calls, target.max_calls),
+        confidence=target.confidence,
+        method=method,
+        batch_size=batch_size,
+    )
+    simulate = scenario.simulator()
+    with _store(directory, configuration(scenario, traffic, campaign)) as store:
+        sitting = _Sitting(directory, scenario, campaign, simulate, store, on_progress or _ignore)
+        return _go_on(sitting, _replay(sitting))
+
+
+def status(directory: str | Path) -> dict[str, Any]:
+    """What `result.json` of the run in `directory` says.
+
+    Raises
+    ------
+    StoreError
+        If there is no run, it has no result yet, or it is damaged.
+    """
+    RunStore.open(Path(directory)).close()
+    return read_result(Path(directory))
+
+
+def _store(directory: Path, config: dict[str, str]) -> RunStore:
+    if not RunStore.exists(directory):
+        return RunStore.create(directory, config)
+    store = RunStore.open(directory)
+    try:
+        require_same_run(directory, store.config(), config)
+    except StoreError:
+        store.close()
+        raise
+    return store
+
+
+def _given(value: Number | None, default: Number) -> Number:
+    return default if value is None else value
+
+
+@dataclass(frozen=True)
+class _Sitting:
+    """The pieces that meet in one call of `run`."""
+
+    directory: Path
+    scenario: Scenario
+    campaign: Campaign
+    simulate: Simulate
+    store: RunStore
+    on_progress: Callable[[Campaign], None]
+
+    def simulated(self, x: FloatArray) -> FloatArray:
+        """Outcomes (n,) of `x` (n, d), checked before anything is stored or told."""
+        try:
+            return check_outcomes(self.simulate(x), len(x))
+        except SimulationError as error:
+            raise SimulationError(
+                f"{error} The {self.campaign.n_calls} simulator runs before are stored in "
+                f"{self.directory}: the same command goes on after them."
+            ) from error
+
+    def tell(self, outcomes: FloatArray) -> None:
+        """Tell the campaign, and whoever watches."""
+        self.campaign.tell(outcomes)
+        self.on_progress(self.campaign)
+
+
+def _ignore(_: Campaign) -> None:
+    """Nobody watches."""
+
+
+def _replay(sitting: _Sitting) -> int:
+    """Tell the campaign what is stored; the number of batches in the store."""
+    campaign = sitting.campaign
+    batches = sitting.store.batches(campaign.problem.traffic.n_variables)
+    for k, batch in enumerate(batches):
+        if campaign.done:  # with a smaller budget, or a wider target, than was stored
+            break
+        sitting.tell(_recalled(sitting, k, batch, campaign.ask()))
+    return len(batches)
+
+
+def _recalled(sitting: _Sitting, k: int, batch: Batch, x: FloatArray) -> FloatArray:
+    """Outcomes of `x` from the stored `batch`; one cut short by its budget is completed."""
+    n = min(len(x), len(batch.x))
+    if x[:n].tobytes() != batch.x[:n].tobytes():
+        raise StoreError(_parted(sitting, k))
+    if n == len(x):
+        return batch.outcomes[:n]
+    outcomes = np.concatenate([batch.outcomes, sitting.simulated(x[n:])])
+    sitting.store.extend(k, Batch(x, outcomes))
+    return outcomes
+
+
+def _parted(sitting: _Sitting, k: int) -> str:
+    stored = sitting.store.config().get("versions", "unknown versions")
+    return (
+        f"{sitting.directory}: expected the campaign to ask for the situations of batch {k} again, "
+        f"bit for bit; it asks for others. The run was begun with {stored}, these are {versions()}:"
+        " continue with the versions that began it, or choose another --out."
+    )
+
+
+def _go_on(sitting: _Sitting, k: int) -> Estimate:
+    """Simulate from batch `k` on, storing every batch before the next is asked for."""
+    campaign = sitting.campaign
+    # of the last whole step: an interrupted one leaves the campaign between two states
+    estimate, written = campaign.estimate(), time.monotonic()
+    try:
+        while not campaign.done:
+            x = campaign.ask()
+            outcomes = sitting.simulated(x)
+            sitting.store.append(k, Batch(x, outcomes))
+            sitting.tell(outcomes)
+            estimate, k = campaign.estimate(), k + 1
+            if time.monotonic() - written > SECONDS_BETWEEN_RESULTS:
+                _write(sitting, estimate)
+                written = time.monotonic()
+    finally:
+        _write(sitting, estimate)
+    return estimate
+
+
+def _write(sitting: _Sitting, estimate: Estimate) -> None:
+    result = result_dict(estimate, sitting.scenario, sitting.campaign.problem)
+    write_result(sitting.directory, result)

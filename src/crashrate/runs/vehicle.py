@@ -1,0 +1,48 @@
+"""The vehicle under test that a scenario names, as a function of situations."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy.typing as npt
+
+from crashrate.errors import InvalidInputError, ScenarioError
+from crashrate.simulators import AccAeb, AccAebSimulator, PythonFunction
+from crashrate.variables import FloatArray
+
+if TYPE_CHECKING:
+    from crashrate.runs.scenario import Scenario
+
+Simulate = Callable[[FloatArray], npt.ArrayLike]
+
+
+def simulator_of(scenario: "Scenario") -> Simulate:
+    """The simulator of `scenario`: rows (n, d) of its variables to n outcomes.
+
+    Raises
+    ------
+    ScenarioError
+        If it needs quantities that the scenario does not give, or there is no such function.
+    SimulationError
+        If the module of the function fails when it is imported.
+    """
+    try:
+        return _acc_aeb(scenario) if scenario.simulator_choice.kind == "acc-aeb" else _own(scenario)
+    except InvalidInputError as error:
+        raise ScenarioError(f"{scenario.name}, [simulator]: {error}") from error
+
+
+def _acc_aeb(scenario: "Scenario") -> AccAebSimulator:
+    choice = scenario.simulator_choice
+    plant = (
+        AccAeb.published()
+        if choice.published
+        else AccAeb(choice.closing_speed_cap, choice.ego_speed_cap)
+    )
+    return AccAebSimulator.for_variables(plant, scenario.names, scenario.derived)
+
+
+def _own(scenario: "Scenario") -> PythonFunction:
+    folder = None if scenario.directory is None else str(scenario.directory)
+    function = PythonFunction(scenario.simulator_choice.function, folder)
+    function.load()  # fail before anything is stored
+    return function
