@@ -113,10 +113,10 @@ class TrafficModel:
         """Coefficients of log w_k g_k in the features of (x - mean) / scale."""
         scale = self._scale
         covariances = self.covariances / np.outer(scale, scale)
-        log_determinants = np.asarray(np.linalg.slogdet(covariances)[1], float)
+        log_determinants = np.linalg.slogdet(covariances)[1]
         with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
             log_weights = np.log(self.weights)
-        log_scale = (
+        log_scale: FloatArray = (
             log_weights
             - self.log_masses
             - 0.5 * log_determinants
@@ -158,15 +158,22 @@ class TrafficModel:
         if n < 0:
             raise InvalidInputError(f"n: expected a number of draws >= 0, got {n}.")
         generator = np.random.default_rng(rng)
-        counts = generator.multinomial(n, self.weights)
+        x, _ = self.sample_components(n, generator)
+        generator.shuffle(x)
+        return x
+
+    def sample_components(
+        self, n: int, rng: np.random.Generator
+    ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+        """Draws (n, d) grouped by component, and the component (n,) of each."""
+        counts = rng.multinomial(n, self.weights)
         parts = [
-            sample_truncated(mean, covariance, self.lower, self.upper, int(count), generator)
+            sample_truncated(mean, covariance, self.lower, self.upper, int(count), rng)
             for mean, covariance, count in zip(self.means, self.covariances, counts, strict=True)
             if count
         ]
         x = np.concatenate([np.empty((0, self.n_variables)), *parts])
-        generator.shuffle(x)
-        return x
+        return x, np.repeat(np.arange(self.n_components), counts)
 
     def contains(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Which rows (n, d) lie in the box, sides included: (n,)."""
@@ -195,6 +202,16 @@ class TrafficModel:
         for block in quadratic.blocks(len(rows)):
             out[block] = self._block_terms(rows[block]).T
         out[~self.contains(rows)] = -np.inf
+        return out
+
+    def component_probabilities(self, x: npt.ArrayLike) -> FloatArray:
+        """Probability (n, K) that each row came from each component (paper, eq. 3)."""
+        rows = as_rows(x, self.n_variables)
+        out = np.empty((len(rows), self.n_components))
+        for block in quadratic.blocks(len(rows)):
+            terms = self._block_terms(rows[block])
+            quadratic.log_sum(terms)
+            out[block] = (terms / terms.sum(axis=0)).T
         return out
 
     def _block_terms(self, rows: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Integration nodes over a truncated normal: all links of its chain but the last, which is exact."""
+"""Integration nodes over a truncated normal: tensor or Sobol, the last link exact."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,0 +1,119 @@
+"""One fit of a truncated mixture from one start: steps until they gain nothing more."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from crashrate.errors import NumericalError
+from crashrate.traffic.em import information_em_step, lee_scott_step
+from crashrate.traffic.natural import to_natural
+from crashrate.traffic.objective import Events, Mixture, Prior, mixture_at
+from crashrate.traffic.quasi_newton import QuasiNewton
+from crashrate.traffic.start import Start
+from crashrate.traffic.truncated_components import components_at, sound, usable
+
+_N_EM = 15  # EM steps before the quasi-Newton ones: far from the answer they are the safer
+_N_SMALL = 3  # gains below the tolerance in a row that mean convergence
+_MAX_INFLATIONS = 12
+
+
+class Algorithm(StrEnum):
+    """How the likelihood is climbed."""
+
+    QUASI_NEWTON = "quasi-newton"
+    LEE_SCOTT = "lee-scott"
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """When a fit stops: gains per step below `tol`, or `max_iter` steps."""
+
+    algorithm: Algorithm
+    tol: float
+    max_iter: int
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Where a fit ended.
+
+    Attributes
+    ----------
+    mixture : Mixture
+    objectives : tuple of float
+        Penalised log likelihood per event at the start and after every step: never falling.
+    converged : bool
+    n_safeguarded : int
+        Components whose step was shortened or replaced, summed over EM steps.
+    """
+
+    mixture: Mixture
+    objectives: tuple[float, ...]
+    converged: bool
+    n_safeguarded: int
+
+
+def fit_from(events: Events, prior: Prior, start: Start, schedule: Schedule) -> Fit:
+    """Climb from `start` as `schedule` says.
+
+    Raises
+    ------
+    NumericalError
+        If the start, however widened, is no usable mixture.
+    """
+    climb = _climber(events, prior, schedule)
+    mixture = _first(events, prior, start)
+    objectives = [mixture.objective]
+    n_small = n_safeguarded = 0
+    for i in range(schedule.max_iter):
+        new, n_events = climb(i, mixture)
+        n_safeguarded += n_events
+        if new is None:  # no step gains anything: rounding ends the climb
+            return Fit(mixture, tuple(objectives), True, n_safeguarded)
+        gain = new.objective - mixture.objective
+        if gain >= 0.0:  # rounding may take back the last digit of a converged EM step
+            mixture = new
+        objectives.append(mixture.objective)
+        n_small = n_small + 1 if gain < schedule.tol else 0
+        if n_small >= _N_SMALL:
+            return Fit(mixture, tuple(objectives), True, n_safeguarded)
+    return Fit(mixture, tuple(objectives), False, n_safeguarded)
+
+
+Climb = Callable[[int, Mixture], tuple[Mixture | None, int]]
+
+
+def _climber(events: Events, prior: Prior, schedule: Schedule) -> Climb:
+    """The function that makes step i of the schedule."""
+    quasi_newton = QuasiNewton(events, prior)
+
+    def climb(i: int, mixture: Mixture) -> tuple[Mixture | None, int]:
+        if schedule.algorithm is Algorithm.LEE_SCOTT:
+            step = lee_scott_step(events, prior, mixture)
+        elif i < _N_EM:
+            step = information_em_step(events, prior, mixture)
+        else:
+            return quasi_newton.step(mixture), 0
+        return step.mixture, step.n_safeguarded
+
+    return climb
+
+
+def _first(events: Events, prior: Prior, start: Start) -> Mixture:
+    """The start as a mixture, widened towards the data's covariance until it is a usable one."""
+    means, covariances = start.means, start.covariances
+    with np.errstate(divide="ignore"):  # weight 0 is a component that takes no part
+        log_weights = np.log(start.weights)
+    for _ in range(_MAX_INFLATIONS):
+        theta = to_natural(means, covariances)
+        if usable(theta, events.d).all():
+            components = components_at(theta, events.box)
+            if sound(components).all():
+                return mixture_at(events, prior, log_weights, components)
+        covariances = 0.7 * covariances + 0.3 * (prior.covariance + 1e-3 * np.eye(events.d))
+    raise NumericalError(
+        "fit: expected a start with every component's mass partly in the box; got one that stays "
+        "numerically singular; give other starting values, or a larger prior_strength."
+    )
