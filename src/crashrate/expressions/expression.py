@@ -57,6 +57,12 @@ class Expression:
         """The expression `text` on `names`, which may use the quantities in `derived` by name."""
         return cls(text, tuple(names), tuple((derived or {}).items()))
 
+    @property
+    def used(self) -> tuple[str, ...]:
+        """The columns that the value depends on, in the order of `names`."""
+        indices = {int(index) for operation, index in self.program if operation == "column"}
+        return tuple(self.names[index] for index in sorted(indices))
+
     def __call__(self, x: npt.ArrayLike) -> FloatArray:
         """The values at rows `x`.
 

@@ -1,0 +1,68 @@
+"""CSV files: a header line with the columns' names, then one row per event."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from crashrate.errors import EventsError
+from crashrate.events.sources import Column, empty_as_nan
+
+NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+
+
+@dataclass(frozen=True)
+class CsvSource:
+    """A CSV file, comma-separated, in UTF-8.
+
+    Cells are read as text and turned into numbers here: a column that starts with numbers and has
+    text in its millionth row is told by that row, not by a guessed type.
+    """
+
+    path: Path
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The header."""
+        import pyarrow as pa
+        from pyarrow import csv
+
+        try:
+            with csv.open_csv(self.path, read_options=csv.ReadOptions(use_threads=False)) as file:
+                return tuple(file.schema.names)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise self._unreadable(error) from error
+
+    def read(self, names: Sequence[str]) -> dict[str, Column]:
+        """The columns `names`; a cell that is not a number becomes NaN."""
+        import pyarrow as pa
+        from pyarrow import csv
+
+        wanted = csv.ConvertOptions(
+            include_columns=list(names), column_types=dict.fromkeys(names, pa.string())
+        )
+        options = csv.ReadOptions(use_threads=False)  # errors then name the row
+        try:
+            table = csv.read_csv(self.path, read_options=options, convert_options=wanted)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise self._unreadable(error) from error
+        return {name: _numbers(table[name]) for name in names}
+
+    def _unreadable(self, error: Exception) -> EventsError:
+        return EventsError(
+            f"{self.path}: expected a comma-separated table in UTF-8 with a header line: {error}"
+        )
+
+
+def _numbers(cells: Any) -> Column:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    text = pc.utf8_trim_whitespace(cells)
+    try:
+        numbers = pc.cast(text, pa.float64())
+    except pa.ArrowInvalid:  # some cell is no number: leave those empty, the caller names them
+        clean = pc.if_else(pc.match_substring_regex(text, NUMBER), text, None)
+        numbers = pc.cast(clean, pa.float64())
+    return Column(empty_as_nan(numbers), text)
