@@ -1,0 +1,129 @@
+"""The table of evidence: what the estimate rests on, each number with its meaning."""
+
+from dataclasses import dataclass
+
+from crashrate.estimation.estimate import Estimate, in_words
+from crashrate.reports.numbers import (
+    MISSING,
+    count,
+    interval_text,
+    is_number,
+    percent,
+    plain,
+    power_of_ten,
+)
+from crashrate.runs.record import RunRecord
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One line of the table."""
+
+    name: str
+    value: str
+    meaning: str
+
+
+def evidence(record: RunRecord, estimate: Estimate) -> tuple[Fact, ...]:
+    """What the estimate rests on."""
+    return (*_answer(estimate), *_runs(estimate), *_quality(estimate), *_efficiency(estimate),
+            *_origin(record, estimate))  # fmt: skip
+
+
+def _words(value: float) -> str:
+    return in_words(value) if is_number(value) else MISSING
+
+
+def _answer(e: Estimate) -> tuple[Fact, ...]:
+    has_bounds = e.bounds != (0.0, 1.0) and all(map(is_number, e.bounds))
+    low, high = (power_of_ten(b) for b in e.bounds)
+    return (
+        Fact("Probability", power_of_ten(e.probability), "Of one encounter, drawn from traffic."),
+        Fact(
+            f"{100 * e.confidence:g} % interval",
+            f"{interval_text(e.interval)} (± {percent(e.relative_half_width)})",
+            "Holds the true probability in that share of campaigns, for this traffic model and "
+            "this simulator.",
+        ),
+        Fact(
+            "Bounds",
+            f"{low} ≤ p ≤ {high}" if has_bounds else "none",
+            "P(inner) ≤ p ≤ P(outer), with certainty if the risk order holds."
+            if has_bounds
+            else "Nothing is implied about situations that were not simulated.",
+        ),
+    )
+
+
+def _runs(e: Estimate) -> tuple[Fact, ...]:
+    return (
+        Fact("Simulator runs", count(e.n_calls), "All of them, exploration included."),
+        Fact("Crashes", count(e.n_crashes), "Runs that ended in a crash."),
+        Fact(
+            "Failed runs",
+            count(e.n_failed),
+            "Runs without an outcome; counted both as crashes and as safe, never left out.",
+        ),
+        Fact("Stopped because", e.stop_reason.value, "A campaign stops by a rule set beforehand."),
+    )
+
+
+def _quality(e: Estimate) -> tuple[Fact, ...]:
+    return (
+        Fact(
+            "Effective sample size",
+            plain(e.n_eff, 3),
+            "Equally weighted crashes that would be as precise.",
+        ),
+        Fact(
+            "Largest weight share",
+            percent(e.largest_weight_share),
+            "Share of the estimate that hangs on its most influential run; above 25 % is an alarm.",
+        ),
+        Fact(
+            "Logarithmic efficiency",
+            plain(e.log_efficiency, 3),
+            "log E[Z²] / log E[Z] of one run's contribution Z: 2 at best, 1 for crude Monte Carlo.",
+        ),
+    )
+
+
+def _efficiency(e: Estimate) -> tuple[Fact, ...]:
+    return (
+        Fact(
+            "Crude Monte Carlo",
+            f"{_words(e.crude_monte_carlo_calls)} runs"
+            if is_number(e.crude_monte_carlo_calls)
+            else MISSING,
+            "Random encounters needed for an interval as narrow.",
+        ),
+        Fact(
+            "Acceleration",
+            f"× {_words(e.acceleration)}" if is_number(e.acceleration) else MISSING,
+            "Crude Monte Carlo runs that each simulator run replaces.",
+        ),
+    )
+
+
+def _origin(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
+    versions = record.result.get("versions") or {}
+    return (
+        Fact("Traffic model", _traffic(record), "How often each situation occurs."),
+        Fact("Method", e.method, "“sequential” or the procedure “huang2017” of the paper."),
+        Fact("Seed", str(e.seed), "With scenario and traffic model, gives the same run again."),
+        Fact(
+            "Versions",
+            ", ".join(f"{k} {v}" for k, v in versions.items()) or MISSING,
+            "Of the software.",
+        ),
+    )
+
+
+def _traffic(record: RunRecord) -> str:
+    traffic = record.traffic
+    events = traffic.provenance.get("events") or {}
+    text = f"{len(traffic.weights)} truncated normal components in {', '.join(traffic.names)}"
+    if not events.get("n"):
+        return text
+    kind = "synthetic" if record.synthetic else "recorded"
+    return f"{text}, fitted to {events['n']:,} {kind} events"

@@ -1,0 +1,138 @@
+"""The report: one HTML file that holds all it needs, for a reader who was not there."""
+
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from crashrate.errors import StoreError
+from crashrate.estimation.alarms import Alarm
+from crashrate.estimation.estimate import Estimate, in_words
+from crashrate.reports.evidence import evidence
+from crashrate.reports.likeliest import likeliest_crashes
+from crashrate.reports.numbers import interval_text, percent, power_of_ten
+from crashrate.reports.panel import Panel
+from crashrate.reports.results import estimate_of
+from crashrate.runs.record import RunRecord
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+TEMPLATE = "report.html.j2"
+
+
+def write_report(record: RunRecord, path: str | Path) -> Path:
+    """Write the report of `record` to `path`, the old file or the new one whole at any moment.
+
+    Parameters
+    ----------
+    record : RunRecord
+    path : str or Path
+        The HTML file.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+    """
+    path = Path(path)
+    page = render_report(record)
+    temporary = path.with_name(f"{path.name}.new")
+    try:
+        temporary.write_text(page, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise StoreError(f"{path}: expected a file to write to, got: {error}.") from error
+    return path
+
+
+def render_report(record: RunRecord) -> str:
+    """The report of `record` as one HTML page that loads nothing from elsewhere.
+
+    Parameters
+    ----------
+    record : RunRecord
+    """
+    from plotly.offline import get_plotlyjs
+
+    estimate = estimate_of(record.result)
+    return _template().render(
+        record=record,
+        outcome=record.scenario.outcome,
+        estimate=estimate,
+        sentence=_sentence(record, estimate),
+        key_figures=_key_figures(record, estimate),
+        facts=evidence(record, estimate),
+        panels=_panels(record, estimate),
+        crashes=likeliest_crashes(record),
+        all_alarms=tuple(Alarm),
+        plotly_js=get_plotlyjs(),
+    )
+
+
+@cache
+def _template() -> "Template":
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    from crashrate.reports.figures.style import to_div
+
+    environment = Environment(
+        loader=PackageLoader("crashrate.reports"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["to_div"] = to_div
+    return environment.get_template(TEMPLATE)
+
+
+def _sentence(record: RunRecord, estimate: Estimate) -> str:
+    outcome = record.scenario.outcome
+    return str(record.result.get("sentence") or estimate.sentence(outcome.event, outcome.per))
+
+
+def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str], ...]:
+    """The answer in three short lines; none where there is no estimate."""
+    p = estimate.probability
+    if not p > 0:
+        return ()
+    outcome = record.scenario.outcome
+    return (
+        (power_of_ten(p), f"{outcome.event} per {outcome.per}: about one in {in_words(1 / p)}"),
+        (
+            f"± {percent(estimate.relative_half_width)}",
+            f"{100 * estimate.confidence:g} % interval, {interval_text(estimate.interval)}",
+        ),
+        (f"{estimate.n_calls:,} runs", _effort(estimate)),
+    )
+
+
+def _effort(estimate: Estimate) -> str:
+    crude = in_words(estimate.crude_monte_carlo_calls)
+    return f"of the simulator, in place of {crude} by crude Monte Carlo"
+
+
+def _panels(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:
+    from crashrate.reports.figures.bic import bic_panel
+    from crashrate.reports.figures.convergence import estimate_panel, half_width_panel
+    from crashrate.reports.figures.data import data_panel
+    from crashrate.reports.learned_panels import learned_panels
+
+    traffic = record.traffic
+    return (
+        data_panel(record),
+        bic_panel(traffic.provenance, len(traffic.weights)),
+        *learned_panels(record),
+        estimate_panel(estimate),
+        half_width_panel(estimate, _target(record)),
+    )
+
+
+def _target(record: RunRecord) -> float:
+    target: dict[str, Any] = record.result.get("target") or {}
+    return float(target.get("relative_half_width") or record.scenario.target.relative_half_width)

@@ -1,0 +1,56 @@
+"""The estimate, read back from result.json."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.estimate import Estimate, HistoryPoint
+from crashrate.reports.numbers import is_number, number
+
+
+def estimate_of(result: Mapping[str, Any]) -> Estimate:
+    """The estimate whose `to_dict` is `result`; None, written for what is not finite, becomes NaN.
+
+    Parameters
+    ----------
+    result : mapping
+        As in result.json.
+    """
+    return Estimate(
+        probability=number(result, "probability"),
+        confidence=number(result, "confidence"),
+        standard_error=number(result, "standard_error"),
+        n_eff=number(result, "n_eff"),
+        largest_weight_share=number(result, "largest_weight_share"),
+        log_efficiency=number(result, "log_efficiency"),
+        n_calls=_count(result, "n_calls"),
+        n_crashes=_count(result, "n_crashes"),
+        n_failed=_count(result, "n_failed"),
+        seed=_count(result, "seed"),
+        interval=_pair(result.get("interval")),
+        bounds=_pair(result.get("bounds")),
+        alarms=tuple(Alarm[alarm["name"]] for alarm in result.get("alarms", ())),
+        stop_reason=StopReason(result["stop_reason"]),
+        method=str(result["method"]),
+        history=tuple(_point(p) for p in result.get("history", ())),
+    )
+
+
+def _count(result: Mapping[str, Any], key: str) -> int:
+    return int(result.get(key) or 0)
+
+
+def _point(point: Mapping[str, Any]) -> HistoryPoint:
+    return HistoryPoint(
+        n_calls=int(point["n_calls"]),
+        probability=number(point, "probability"),
+        lower=number(point, "lower"),
+        upper=number(point, "upper"),
+        phase=str(point.get("phase", "")),
+    )
+
+
+def _pair(pair: Any) -> tuple[float, float]:
+    low, high = pair if pair is not None else (math.nan, math.nan)
+    return (low if is_number(low) else math.nan, high if is_number(high) else math.nan)
