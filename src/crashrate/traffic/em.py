@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crashrate.traffic.truncated_components import Box, Components, components_at, sound, usable
 from crashrate.traffic.natural import to_natural
 from crashrate.traffic.objective import (
     Events,
@@ -23,6 +22,7 @@ from crashrate.traffic.objective import (
     theta_gradient,
 )
 from crashrate.traffic.quadratic import pair_factors
+from crashrate.traffic.truncated_components import Box, Components, components_at, sound, usable
 from crashrate.variables import BoolArray, FloatArray
 
 _MAX_HALVINGS = 30
@@ -41,7 +41,7 @@ def lee_scott_step(events: Events, prior: Prior, mixture: Mixture) -> Step:
     means, covariances = lee_scott_target(prior, mixture)
     gradient = theta_gradient(prior, mixture)
     uphill = information_step(prior, mixture, gradient)
-    definite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(means).all(axis=1)
+    definite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
     definite[definite] = np.linalg.eigvalsh(covariances[definite])[:, 0] > 0.0
     step = uphill.copy()
     step[definite] = (

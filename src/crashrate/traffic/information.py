@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from crashrate.traffic.one_dimension import interval_moments
+from crashrate.traffic.one_dimension import IntervalMoments
 from crashrate.traffic.quadratic import pair_factors
 from crashrate.traffic.quadrature import Nodes
 from crashrate.variables import FloatArray
@@ -31,15 +31,14 @@ def gaussian_information(factors: FloatArray, means: FloatArray) -> FloatArray:
     return np.asarray((mapped * variances) @ mapped.transpose(0, 2, 1))
 
 
-def link_information(nodes: Nodes, z_mean: FloatArray) -> FloatArray:
+def link_information(nodes: Nodes, last: IntervalMoments, z_mean: FloatArray) -> FloatArray:
     """Cov (t, t t') (K, q, q) of the links t = z - z_mean, by the law of total covariance.
 
     Given a node only the last link is random; both terms are sums of squares, so nothing cancels.
     """
-    last = interval_moments(nodes.lower, nodes.upper, n=32)
     shares = nodes.shares()
     t = np.concatenate([nodes.points, last.mean[..., None]], axis=2) - z_mean[:, None, :]
-    _, n, d = t.shape
+    d = t.shape[2]
     i, j = np.triu_indices(d)
     features = np.concatenate([t, t[:, :, i] * t[:, :, j]], axis=2)
     features[:, :, -1] += last.second  # E t_d^2 given the node

@@ -26,7 +26,7 @@ _PRIOR_GROWTH, _MAX_GROWTHS = 10.0, 4
 _RIDGE = 1e-6  # of a standardised variance: the prior's covariance is never singular
 
 
-class TruncatedGaussianMixture(DensityMixin, BaseEstimator):
+class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[misc] # untyped
     """Gaussian mixture truncated to a box (paper, eqs. 2-8).
 
     Events are normalised inside; every result is in the units of the data.
@@ -74,6 +74,8 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):
         The prior used: `prior_strength`, or more where a component ran away with it.
     log_likelihood_ : float
         Log likelihood of the events, in the units of the data.
+    bic_ : float
+        Bayesian information criterion of the fitted events.
     model_ : TrafficModel
         The fitted law, with variables named x0, x1, ... or as the data frame's columns.
     n_features_in_ : int
@@ -211,7 +213,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):
             start.means if means is None else standard.forward(means),
             start.covariances
             if precisions is None
-            else standard.forward_covariances(np.linalg.inv(precisions)),
+            else standard.forward_covariances(np.asarray(np.linalg.inv(precisions), float)),
         )
 
     def _given(self, name: str, shape: tuple[int, ...]) -> FloatArray | None:
@@ -242,6 +244,8 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):
         self.log_likelihood_ = best.mixture.expectation.log_likelihood - len(rows) * float(
             np.log(standard.scale).sum()
         )
+        price = math.log(len(rows))
+        self.bic_ = -2.0 * self.log_likelihood_ + price * self._n_parameters()
         self._n_events, self._sides = len(rows), (standard.lower, standard.upper)
         self.model_ = self.traffic_model()
 
@@ -261,7 +265,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):
             "algorithm": str(self.algorithm),
             "n_events": self._n_events,
             "log_likelihood": self.log_likelihood_,
-            "bic": self._criterion(math.log(self._n_events)),
+            "bic": self.bic_,
             "converged": self.converged_,
             "n_iter": self.n_iter_,
             "prior_strength": self.prior_strength_,
@@ -271,10 +275,6 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):
             self.weights_, self.means_, self.covariances_, lower, upper,
             tuple(str(name) for name in names), provenance,
         )  # fmt: skip
-
-    def _criterion(self, price: float) -> float:
-        """-2 log likelihood of the fitted events, plus `price` per parameter."""
-        return -2.0 * self.log_likelihood_ + price * self._n_parameters()
 
     def _n_parameters(self) -> int:
         """K - 1 weights, K d means and K d (d + 1) / 2 covariances."""

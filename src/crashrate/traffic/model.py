@@ -112,7 +112,7 @@ class TrafficModel:
     def _standard_coefficients(self) -> FloatArray:
         """Coefficients of log w_k g_k in the features of (x - mean) / scale."""
         scale = self._scale
-        covariances = self.covariances / np.outer(scale, scale)
+        covariances = self.covariances / (scale[:, None] * scale)
         log_determinants = np.linalg.slogdet(covariances)[1]
         with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
             log_weights = np.log(self.weights)
@@ -124,7 +124,8 @@ class TrafficModel:
             - np.log(scale).sum()
         )
         means = (self.means - self.mean) / scale
-        return quadratic.coefficients(log_scale, means, np.linalg.inv(covariances))
+        precisions = np.asarray(np.linalg.inv(covariances), float)
+        return quadratic.coefficients(log_scale, means, precisions)
 
     @property
     def n_components(self) -> int:
@@ -211,7 +212,7 @@ class TrafficModel:
         for block in quadratic.blocks(len(rows)):
             terms = self._block_terms(rows[block])
             quadratic.log_sum(terms)
-            out[block] = (terms / terms.sum(axis=0)).T
+            out[block] = terms.T
         return out
 
     def _block_terms(self, rows: FloatArray) -> FloatArray:

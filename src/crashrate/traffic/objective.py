@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crashrate.traffic import quadratic
-from crashrate.traffic.truncated_components import Box, Components
 from crashrate.traffic.natural import expectations
+from crashrate.traffic.truncated_components import Box, Components
 from crashrate.variables import FloatArray
 
 # Features of all events are kept when they are at most this many numbers (0.5 GB).
@@ -54,7 +54,6 @@ class Events:
         for features in self._blocks if self._blocks is not None else self._made_blocks():
             terms = table @ features
             log_likelihood += float(quadratic.log_sum(terms).sum())
-            terms /= terms.sum(axis=0)
             sums += terms @ features.T
         sums[:, 1 + self.d :] *= quadratic.pair_factors(self.d)
         return Expectation(sums[:, 0], sums[:, 1:], log_likelihood)
@@ -85,7 +84,7 @@ class Prior:
     @property
     def expected(self) -> FloatArray:
         """E s(y) (q,) of the pseudo-events."""
-        return expectations(self.mean[None], self.covariance[None])[0]
+        return np.asarray(expectations(self.mean[None], self.covariance[None])[0])
 
     def log_density(self, components: Components) -> FloatArray:
         """Log prior (K,) of each component, up to a constant."""
@@ -135,7 +134,7 @@ def theta_gradient(prior: Prior, mixture: Mixture) -> FloatArray:
 def information_step(prior: Prior, mixture: Mixture, gradient: FloatArray) -> FloatArray:
     """Gradient (K, q) over each component's complete-data information block."""
     parts = mixture.components
-    # An (almost) empty component has no information of its own; one event's worth keeps it solvable.
+    # An almost empty component has no information of its own: one event's keeps it solvable.
     counts = np.maximum(mixture.expectation.counts, 1.0)[:, None, None]
     blocks = counts * parts.information + prior.strength * parts.prior_information
     size = np.sqrt(np.diagonal(blocks, axis1=1, axis2=2))

@@ -13,8 +13,6 @@ from crashrate.variables import BoolArray, FloatArray
 
 LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
 _SQRT_HALF = math.sqrt(0.5)
-# exp(-35) = 6e-16: what lies beyond the point where the density has fallen that far is rounding.
-_LOG_DROP = 35.0
 # The narrow-interval rule: 8 nodes integrate exp of a quadratic smaller than this to 1e-16.
 _NARROW = 0.5
 # ndtr below this point has fewer than its 16 digits left after the next subtraction.
@@ -86,11 +84,25 @@ class Stretch:
             return offsets, np.log(weights) + np.log(half)
 
 
-def effective_stretch(lower: FloatArray, upper: FloatArray) -> Stretch:
-    """Where a standard normal on [lower, upper] has all its mass but 1e-15 of it."""
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """Gauss-Legendre nodes per dimension, and how far the log density may fall where they end."""
+
+    n: int
+    log_drop: float
+
+
+# exp(-35) = 6e-16: what lies beyond is rounding; 40 nodes are as good on the widest stretch.
+FINE = Rule(40, 35.0)
+# 1e-12 and 3e-9: enough for an optimiser, which takes this many thousand times over.
+COARSE = Rule(24, 25.0)
+
+
+def effective_stretch(lower: FloatArray, upper: FloatArray, log_drop: float) -> Stretch:
+    """Where a standard normal on [lower, upper] has all its mass but exp(-log_drop) of it."""
     mode = np.maximum(lower, np.minimum(upper, 0.0))
     size = np.abs(mode)
-    reach = 2.0 * _LOG_DROP / (np.sqrt(size * size + 2.0 * _LOG_DROP) + size)
+    reach = 2.0 * log_drop / (np.sqrt(size * size + 2.0 * log_drop) + size)
     return Stretch(mode, np.maximum(lower - mode, -reach), np.minimum(upper - mode, reach))
 
 
@@ -104,13 +116,13 @@ class IntervalMoments:
     fourth: FloatArray
 
 
-def interval_moments(lower: FloatArray, upper: FloatArray, n: int = 40) -> IntervalMoments:
+def interval_moments(lower: FloatArray, upper: FloatArray, rule: Rule = FINE) -> IntervalMoments:
     """Mean and central moments two to four of a standard normal on [lower, upper].
 
-    Sums of positive terms over `n` nodes: nothing cancels, however narrow or far out.
+    Sums of positive terms over nodes: nothing cancels, however narrow or far out.
     """
-    stretch = effective_stretch(lower, upper)
-    x, weights = gauss_legendre(n)
+    stretch = effective_stretch(lower, upper, rule.log_drop)
+    x, weights = gauss_legendre(rule.n)
     half = 0.5 * (stretch.right - stretch.left)
     middle = 0.5 * (stretch.right + stretch.left)
     offsets = middle[..., None] + half[..., None] * x

@@ -51,8 +51,10 @@ def blocks(n: int) -> Iterator[slice]:
 
 
 def log_sum(terms: FloatArray) -> FloatArray:
-    """log sum exp over the first axis; `terms` (K, n) is replaced by exp(terms - largest)."""
+    """log sum exp (n,) over the first axis; `terms` (K, n) becomes each one's share of the sum."""
     top = terms.max(axis=0)
     terms -= top
     np.exp(terms, out=terms)
-    return np.asarray(top + np.log(terms.sum(axis=0)))
+    total = terms.sum(axis=0)
+    terms /= total
+    return np.asarray(top + np.log(total))

@@ -8,7 +8,9 @@ import numpy as np
 
 from crashrate.errors import NumericalError
 from crashrate.traffic.one_dimension import (
+    FINE,
     LOG_SQRT_2PI,
+    Rule,
     effective_stretch,
     log_interval_probability,
     quantile,
@@ -62,8 +64,8 @@ class Nodes:
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-def tensor_nodes(chain: Chain, tilting: Tilting, n: int) -> Nodes:
-    """Tensor Gauss-Legendre nodes, n per link, on the stretches where the tilted chain has mass.
+def tensor_nodes(chain: Chain, tilting: Tilting, rule: Rule) -> Nodes:
+    """Tensor Gauss-Legendre nodes on the stretches where the tilted chain has mass.
 
     The tilted chain dominates the true one up to a constant, so its stretches hold all the mass.
     """
@@ -74,14 +76,16 @@ def tensor_nodes(chain: Chain, tilting: Tilting, n: int) -> Nodes:
         shift = np.einsum("bni,bi->bn", points, chain.coupling[:, i, :i])
         shift += tilting.tilt[:, i, None]
         stretch = effective_stretch(
-            chain.lower[:, i, None] - shift, chain.upper[:, i, None] - shift
+            chain.lower[:, i, None] - shift, chain.upper[:, i, None] - shift, rule.log_drop
         )
-        offsets, log_step = stretch.nodes(n)
+        offsets, log_step = stretch.nodes(rule.n)
         z = tilting.tilt[:, i, None, None] + stretch.mode[..., None] + offsets
         log_weight = (log_weight[..., None] + log_step - 0.5 * z * z - LOG_SQRT_2PI).reshape(
             n_boxes, -1
         )
-        points = np.concatenate([np.repeat(points, n, axis=1), z.reshape(n_boxes, -1, 1)], axis=2)
+        points = np.concatenate(
+            [np.repeat(points, rule.n, axis=1), z.reshape(n_boxes, -1, 1)], axis=2
+        )
     return _close(chain, points, log_weight)
 
 
@@ -118,11 +122,11 @@ def _sobol(d: int, log2_points: int) -> FloatArray:
     return np.asarray(points + 2.0**-31)
 
 
-def fixed_nodes(chain: Chain, n: int, log2_points: int) -> Nodes:
+def fixed_nodes(chain: Chain, rule: Rule, log2_points: int) -> Nodes:
     """Nodes of a fixed number, unchecked: for optimisers, which check their answer in the end."""
     tilting = saddle_points(chain)
     if chain.shape[1] <= _MAX_TENSOR_DIMENSION:
-        return tensor_nodes(chain, tilting, n)
+        return tensor_nodes(chain, tilting, rule)
     return sobol_nodes(chain, tilting, log2_points)
 
 
@@ -145,7 +149,7 @@ def refined_nodes(chain: Chain) -> Iterator[tuple[IntArray, Nodes]]:
     for n in _RUNGS:
         unsettled = []
         for group in _groups(pending, n ** (d - 1) * d):
-            nodes = tensor_nodes(chain.take(group), tilting.take(group), n)
+            nodes = tensor_nodes(chain.take(group), tilting.take(group), Rule(n, FINE.log_drop))
             new = nodes.log_probability()
             settled = (np.abs(new - log_p[group]) < _AGREEMENT) | (d == 1)
             log_p[group] = new

@@ -47,11 +47,11 @@ class Standard:
 
     def forward_covariances(self, covariances: FloatArray) -> FloatArray:
         """Covariances (K, d, d): units of the data -> standard."""
-        return covariances / np.outer(self.scale, self.scale)
+        return covariances / (self.scale[:, None] * self.scale)
 
     def back_covariances(self, covariances: FloatArray) -> FloatArray:
         """Covariances (K, d, d): standard -> units of the data."""
-        return covariances * np.outer(self.scale, self.scale)
+        return covariances * (self.scale[:, None] * self.scale)
 
     def drift(self, means: FloatArray) -> float:
         """How far the farthest of standard means (K, d) lies outside the box."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crashrate.traffic.tilting import IntArray
 from crashrate.variables import FloatArray
 
 _MAX_EVENTS = 15_000
@@ -44,13 +45,13 @@ def _plus_plus(y: FloatArray, n_components: int, rng: np.random.Generator) -> Fl
     return np.array(centres)
 
 
-def _nearest(y: FloatArray, centres: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _nearest(y: FloatArray, centres: FloatArray) -> IntArray:
     """Index (n,) of the centre nearest to each row."""
     scores = y @ centres.T - 0.5 * (centres**2).sum(axis=1)
-    return scores.argmax(axis=1)
+    return np.asarray(scores.argmax(axis=1))
 
 
-def _moments(y: FloatArray, labels: FloatArray, centres: FloatArray) -> Start:
+def _moments(y: FloatArray, labels: IntArray, centres: FloatArray) -> Start:
     """Clusters as components; a cluster with few events takes the shape of all of them."""
     k, d = centres.shape
     means, covariances = centres.copy(), np.empty((k, d, d))

@@ -10,6 +10,7 @@ from crashrate.traffic.information import (
     link_information,
 )
 from crashrate.traffic.natural import expectations, gaussian_log_partition, precisions_of
+from crashrate.traffic.one_dimension import COARSE, interval_moments
 from crashrate.traffic.quadrature import fixed_nodes
 from crashrate.traffic.tilting import Chain, chains
 from crashrate.traffic.truncated_normal import chain_moments, from_chain, placed_factor
@@ -17,7 +18,6 @@ from crashrate.variables import BoolArray, FloatArray
 
 # Standardised precisions outside these limits are a component that ran away or collapsed.
 _MIN_PRECISION, _MAX_PRECISION, _MAX_CONDITION = 1e-8, 1e12, 1e12
-_NODES = 28  # per dimension: 5e-9 on the widest stretch
 _LOG2_POINTS = 12
 _MIN_LOG_MASS = -690.0
 
@@ -78,7 +78,7 @@ class Components:
 
 def usable(theta: FloatArray, d: int) -> BoolArray:
     """Which rows (K, q) are natural parameters of a normal that arithmetic can hold."""
-    finite = np.isfinite(theta).all(axis=1)
+    finite = np.asarray(np.isfinite(theta).all(axis=1))
     precisions = precisions_of(np.where(finite[:, None], theta, 0.0), d)
     values = np.linalg.eigvalsh(precisions)
     return np.asarray(
@@ -123,11 +123,12 @@ def _on_box(
     chain: Chain, means: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Log masses, means, covariances and information of the normals on the box."""
-    nodes = fixed_nodes(chain, _NODES, _LOG2_POINTS)
-    z_mean, z_covariance = chain_moments(nodes)
+    nodes = fixed_nodes(chain, COARSE, _LOG2_POINTS)
+    last = interval_moments(nodes.lower, nodes.upper, COARSE)
+    z_mean, z_covariance = chain_moments(nodes, last)
     box_means, box_covariances = from_chain(chain, means, z_mean, z_covariance)
     mapped = feature_map(placed_factor(chain), box_means)
-    information = mapped @ link_information(nodes, z_mean) @ mapped.transpose(0, 2, 1)
+    information = mapped @ link_information(nodes, last, z_mean) @ mapped.transpose(0, 2, 1)
     return nodes.log_probability(), box_means, box_covariances, information
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError
-from crashrate.traffic.one_dimension import interval_moments
+from crashrate.traffic.one_dimension import IntervalMoments, interval_moments
 from crashrate.traffic.quadrature import Nodes, refined_nodes
 from crashrate.traffic.sampling import sample_truncated
 from crashrate.traffic.tilting import Chain, chains
@@ -85,13 +85,14 @@ def box_moments(
     n = max(1, chain.n_bounded())  # the links after these are free: standard normal
     for boxes, nodes in refined_nodes(chain.head(n)):
         log_p[boxes] = nodes.log_probability()
-        z_mean[boxes, :n], z_covariance[boxes, :n, :n] = chain_moments(nodes)
+        z_mean[boxes, :n], z_covariance[boxes, :n, :n] = chain_moments(
+            nodes, interval_moments(nodes.lower, nodes.upper)
+        )
     return BoxMoments(log_p, *from_chain(chain, means_, z_mean, z_covariance))
 
 
-def chain_moments(nodes: Nodes) -> tuple[FloatArray, FloatArray]:
-    """Mean (B, d) and covariance (B, d, d) of the links, in the order of the chain."""
-    last = interval_moments(nodes.lower, nodes.upper)
+def chain_moments(nodes: Nodes, last: IntervalMoments) -> tuple[FloatArray, FloatArray]:
+    """Mean (B, d) and covariance (B, d, d) of the links, given the `last` one's at the nodes."""
     shares = nodes.shares()
     z = np.concatenate([nodes.points, last.mean[..., None]], axis=2)
     mean = np.einsum("bn,bni->bi", shares, z)
