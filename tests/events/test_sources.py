@@ -20,7 +20,7 @@ EXPECTED = [[1.0, 2.0], [3.0, 4.0], [-5.0, 0.5]]
 
 def test_csv_with_blanks_quotes_and_a_byte_order_mark(tmp_path):
     path = tmp_path / "events.CSV"
-    path.write_bytes(b'\xef\xbb\xbfa,note,b\r\n 1,"x, y", 2\r\n\r\n+3.,,4\r\n"-5",z,.5\r\n')
+    path.write_bytes(b'\xef\xbb\xbfa, note, b\r\n 1,"x, y", 2\r\n\r\n+3.,,4\r\n"-5",z,.5\r\n')
     np.testing.assert_array_equal(read_events(path, AB).values, EXPECTED)
 
 

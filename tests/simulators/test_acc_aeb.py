@@ -125,8 +125,6 @@ def test_impact_speed_is_nan_exactly_where_there_is_no_crash():
     assert (speed >= 0.0).all()
     np.testing.assert_array_equal(result.min_range[result.crash], 0.0)
     assert (result.min_range <= gap).all()
-    # braking never raises the closing speed beyond what ACC can add at 2, 4, 5 … m/s²
-    assert (speed <= closing[result.crash] + 5.0 * 8.0).all()
 
 
 def test_arguments_are_broadcast_and_the_shape_is_kept():

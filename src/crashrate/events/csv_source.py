@@ -22,9 +22,13 @@ class CsvSource:
 
     path: Path
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
-        """The header."""
+        """The header, without the blanks that may follow its commas."""
+        return tuple(name.strip() for name in self._header)
+
+    @cached_property
+    def _header(self) -> tuple[str, ...]:
         import pyarrow as pa
         from pyarrow import csv
 
@@ -39,15 +43,17 @@ class CsvSource:
         import pyarrow as pa
         from pyarrow import csv
 
+        written = {name: self._header[self.names.index(name)] for name in names}
         wanted = csv.ConvertOptions(
-            include_columns=list(names), column_types=dict.fromkeys(names, pa.string())
+            include_columns=list(written.values()),
+            column_types=dict.fromkeys(written.values(), pa.string()),
         )
         options = csv.ReadOptions(use_threads=False)  # errors then name the row
         try:
             table = csv.read_csv(self.path, read_options=options, convert_options=wanted)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise self._unreadable(error) from error
-        return {name: _numbers(table[name]) for name in names}
+        return {name: _numbers(table[in_file]) for name, in_file in written.items()}
 
     def _unreadable(self, error: Exception) -> EventsError:
         return EventsError(
