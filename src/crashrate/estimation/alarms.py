@@ -50,4 +50,5 @@ class StopReason(StrEnum):
     RUNNING = "not finished"
     TARGET_MET = "the target was met"
     BUDGET_ENDED = "the budget of simulator runs ended"
+    DRAWS_ENDED = "the budget of draws from the proposal ended"
     IMPOSSIBLE = "nothing is left to simulate: every situation is decided"

@@ -1,0 +1,93 @@
+"""Importance sampling's running sums: mean, interval, effective sample size.
+
+Draws x of a proposal q contribute Z = f(x) / q(x) · 1{x crashes}; the mean of Z estimates the
+crash probability without bias (2017 paper, §IV.A).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+from scipy.special import ndtri
+
+from crashrate.estimation.crude import upper_end
+from crashrate.variables import FloatArray
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Sums over the contributions Z of all draws so far.
+
+    Parameters
+    ----------
+    n : int
+        Draws.
+    total, squares : float
+        Σ Z and Σ Z².
+    largest : float
+        Largest |Z|.
+    failed : float
+        Σ f/q over the draws whose simulation failed: what they would add if they were crashes.
+    """
+
+    n: int = 0
+    total: float = 0.0
+    squares: float = 0.0
+    largest: float = 0.0
+    failed: float = 0.0
+
+    def add(self, z: FloatArray, failed: float = 0.0) -> Self:
+        """With more contributions z (n,), zero for a safe or failed draw."""
+        return type(self)(
+            self.n + len(z),
+            self.total + float(z.sum()),
+            self.squares + float(z @ z),
+            max(self.largest, float(abs(z).max(initial=0.0))),
+            self.failed + failed,
+        )
+
+    @property
+    def mean(self) -> float:
+        """The estimate; NaN before the first draw."""
+        return self.total / self.n if self.n else math.nan
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean; infinite before the second draw."""
+        if self.n < 2:
+            return math.inf
+        return math.sqrt(max(self.squares / self.n - self.mean**2, 0.0) / (self.n - 1))
+
+    @property
+    def n_eff(self) -> float:
+        """Number of equally weighted crashes that would be as precise: (Σ Z)² / Σ Z²."""
+        return self.total**2 / self.squares if self.squares > 0.0 else 0.0
+
+    @property
+    def largest_share(self) -> float:
+        """Share of the estimate that hangs on one draw."""
+        return self.largest / self.total if self.total > 0.0 else 1.0
+
+    @property
+    def log_efficiency(self) -> float:
+        """log E[Z²] / log E[Z] (2017 paper, §IV.A): 2 at best, 1 for crude Monte Carlo."""
+        if not 0.0 < self.total < self.n:
+            return math.nan
+        return math.log(self.squares / self.n) / math.log(self.mean)
+
+    def half_width(self, confidence: float) -> float:
+        """Half the interval of the mean, by the normal approximation."""
+        return float(ndtri(0.5 + confidence / 2)) * self.standard_error
+
+    def interval(self, confidence: float, largest_weight: float) -> tuple[float, float]:
+        """The interval, with every failed simulation counted as safe below and a crash above.
+
+        Without any crash its upper end is the exact one for a share of 0 in n draws, times the
+        bound `largest_weight` on f/q.
+        """
+        if self.n == 0:
+            return 0.0, 1.0
+        if self.total <= 0.0 and self.failed == 0.0:
+            return 0.0, min(largest_weight * upper_end(0, self.n, confidence), 1.0)
+        half = self.half_width(confidence)
+        return max(self.mean - half, 0.0), min(self.mean + self.failed / self.n + half, 1.0)
