@@ -1,0 +1,405 @@
+"""The command line: arguments to public API, nothing else.
+
+What a command needs is imported inside it, so that ``crashrate --help`` answers at once.
+"""
+
+import functools
+import json
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from crashrate.errors import CrashrateError, InvalidInputError
+
+if TYPE_CHECKING:
+    from crashrate.estimation.campaign import Campaign
+    from crashrate.estimation.estimate import Estimate
+
+TARGET_MET, ERROR, BUDGET_ENDED, INTERRUPTED = 0, 1, 3, 130
+SECONDS_BETWEEN_LINES = 5.0
+REPORT = "report.html"
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+Command = TypeVar("Command", bound=Callable[..., None])
+Say = Callable[[str], None]
+
+
+class Method(StrEnum):
+    """How the probability is estimated."""
+
+    SEQUENTIAL = "sequential"
+    HUANG2017 = "huang2017"
+
+
+class Format(StrEnum):
+    """What is printed on standard output."""
+
+    TEXT = "text"
+    JSON = "json"
+
+
+# --- arguments
+
+
+def _positive(value: float | None) -> float | None:
+    if value is not None and not value > 0:
+        raise typer.BadParameter(f"expected a positive number, got {value}.")
+    return value
+
+
+def _components(text: str) -> str:
+    from crashrate.runs.fitting import parse_components
+
+    try:
+        parse_components(text)
+    except InvalidInputError as error:
+        raise typer.BadParameter(str(error)) from None
+    return text
+
+
+ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
+RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Run folder.")]
+Seed = Annotated[int, typer.Option(min=0, help="Equal seeds give equal answers.")]
+OutputFormat = Annotated[Format, typer.Option("--format", help="What standard output shows.")]
+
+
+# --- commands
+
+
+def _examples(*lines: str) -> str:
+    """Examples below the help of a command, one to a line."""
+    return "\n  ".join(("\b\nExamples:", *lines))
+
+
+def _version(show: bool) -> None:
+    if show:
+        from crashrate import __version__
+
+        typer.echo(f"crashrate {__version__}")
+        raise typer.Exit
+
+
+@app.callback(
+    epilog=_examples(
+        "crashrate demo",
+        "crashrate fit events.parquet --scenario examples/cut_in.toml --out traffic.json",
+        "crashrate run examples/cut_in.toml --traffic traffic.json --out runs/first --seed 1",
+    )
+)
+def _crashrate(
+    ctx: typer.Context,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """How often would this automated vehicle crash in ordinary traffic?
+
+    A probability, an honest interval and the evidence, from a few hundred simulator runs.
+
+    Exit codes: 0 target met, 3 budget ended first, 2 wrong usage, 1 error, 130 interrupted.
+    """
+    del version
+    ctx.obj = debug
+
+
+def _command(*examples: str) -> Callable[[Command], Command]:
+    """Register a command whose errors are one line on standard error, never a traceback."""
+
+    def register(function: Command) -> Command:
+        @functools.wraps(function)
+        def plainly(ctx: typer.Context, **arguments: Any) -> None:
+            with warnings.catch_warnings(), _plain_errors(debug=ctx.obj):
+                warnings.showwarning = _show_warning
+                function(ctx, **arguments)
+
+        app.command(epilog=_examples(*examples))(plainly)
+        return function
+
+    return register
+
+
+@contextmanager
+def _plain_errors(*, debug: bool) -> Iterator[None]:
+    try:
+        yield
+    except (typer.Exit, typer.BadParameter, BrokenPipeError):
+        raise
+    except KeyboardInterrupt:
+        typer.echo("Interrupted: the same command goes on from what is stored.", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except Exception as error:
+        if debug:
+            raise
+        typer.echo(f"Error: {_message(error)}", err=True)
+        raise typer.Exit(ERROR) from None
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, CrashrateError | OSError):
+        return str(error)
+    kind = type(error).__name__
+    return f"unexpected {kind}: {error}. Please report it, with what crashrate --debug … shows."
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    typer.echo(f"Warning: {message}", err=True)
+
+
+@_command(
+    "crashrate fit events.parquet --scenario examples/huang2017.toml --components 9 --out t.json",
+    "crashrate fit events.csv --scenario examples/cut_in.toml --components 1:15 --out t.json",
+)
+def fit(
+    ctx: typer.Context,
+    *,
+    events: Annotated[
+        Path, typer.Argument(metavar="EVENTS", help="Table of events: .csv, .parquet or .mat.")
+    ],
+    scenario: Annotated[Path, typer.Option(help="Scenario file (TOML).")],
+    out: Annotated[Path, typer.Option(help="Traffic model to write (JSON).")],
+    components: Annotated[
+        str,
+        typer.Option(callback=_components, help="A number, a range such as 1:15, or auto (1:15)."),
+    ] = "auto",
+    seed: Seed = 0,
+    drop_invalid: Annotated[
+        bool, typer.Option("--drop-invalid", help="Drop and count bad rows, do not refuse them.")
+    ] = False,
+) -> None:
+    """Fit a traffic model to recorded events."""
+    del ctx
+    from crashrate.runs import fitting
+    from crashrate.runs.scenario import Scenario
+
+    _require_folder(out)
+    what = Scenario.from_file(scenario)
+    table = fitting.read_scenario_events(what, events, drop_invalid=drop_invalid)
+    typer.echo(table.summary())
+    with _progress() as say:
+        model = fitting.fit_traffic(
+            what,
+            table,
+            fitting.parse_components(components),
+            seed=seed,
+            on_step=lambda done, total, message: say(f"fit {done} of {total}: {message}"),
+        )
+    model.to_json(out)
+    _print_selection(model.provenance["selection"])
+    names = ", ".join(model.names)
+    typer.echo(f"{out}: {model.n_components} truncated normal components in {names}")
+
+
+@_command(
+    "crashrate run examples/huang2017.toml --traffic published --out runs/published --seed 1",
+    "crashrate run examples/cut_in.toml --traffic traffic.json --out runs/cut_in --format json",
+    "crashrate run examples/cut_in.toml --traffic traffic.json --out runs/cut_in --max-calls 5000",
+)
+def run(
+    ctx: typer.Context,
+    *,
+    scenario: ScenarioFile,
+    traffic: Annotated[
+        str, typer.Option(metavar="published|FILE", help="Traffic model: 'published', or JSON.")
+    ],
+    out: Annotated[Path, typer.Option(help="Run folder; one that is there is continued.")],
+    seed: Seed = 0,
+    method: Annotated[Method, typer.Option(help="How to estimate.")] = Method.SEQUENTIAL,
+    relative_half_width: Annotated[
+        float | None,
+        typer.Option(callback=_positive, help="Target; the scenario's where not given."),
+    ] = None,
+    max_calls: Annotated[
+        int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
+    ] = None,
+    output: OutputFormat = Format.TEXT,
+) -> None:
+    """Estimate the crash probability of a scenario; resume what was interrupted."""
+    del ctx
+    from crashrate import datasets
+    from crashrate.runs import runner
+    from crashrate.runs.scenario import Scenario
+    from crashrate.traffic.model import TrafficModel
+
+    what = Scenario.from_file(scenario)
+    model = (
+        datasets.spmd_mixture() if traffic == "published" else TrafficModel.from_json(Path(traffic))
+    )
+    with _progress() as say:
+        estimate = runner.run(
+            what,
+            model,
+            out,
+            seed=seed,
+            method=method.value,
+            relative_half_width=relative_half_width,
+            max_calls=max_calls,
+            on_progress=lambda campaign: say(_standing(campaign)),
+        )
+    _finish(out, estimate, output)
+
+
+@_command(
+    "crashrate status runs/cut_in",
+    "crashrate status runs/cut_in --format json",
+)
+def status(ctx: typer.Context, directory: RunFolder, output: OutputFormat = Format.TEXT) -> None:
+    """Show how a run stands, or what it found."""
+    del ctx
+    from crashrate.runs import runner
+
+    _print_result(runner.status(directory), output)
+
+
+@_command(
+    "crashrate report runs/cut_in",
+)
+def report(ctx: typer.Context, directory: RunFolder) -> None:
+    """Write the report of a run again, and print where it is."""
+    del ctx
+    typer.echo(_write_report(directory))
+
+
+@_command(
+    "crashrate demo",
+    "crashrate demo --seed 7 --out runs/demo",
+)
+def demo(
+    ctx: typer.Context,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder.", show_default="runs/demo-SEED")
+    ] = None,
+) -> None:
+    """Go all the way with synthetic events and the vehicle of the 2017 study.
+
+    Needs no file and no network. The events are synthetic: drawn from the published mixture.
+    """
+    del ctx
+    from crashrate.runs import demo as pieces
+    from crashrate.runs import fitting, runner
+
+    folder = Path("runs", f"demo-{seed}") if out is None else out
+    scenario, events = pieces.demo_scenario(), pieces.demo_events(seed)
+    typer.echo(events.summary(), err=True)
+    with _progress() as say:
+        say(f"fitting {pieces.N_COMPONENTS} components to the synthetic events")
+        model = fitting.fit_traffic(
+            scenario, events, (pieces.N_COMPONENTS,), seed=seed, synthetic=True
+        )
+        estimate = runner.run(
+            scenario,
+            model,
+            folder,
+            seed=seed,
+            on_progress=lambda campaign: say(_standing(campaign)),
+        )
+    _finish(folder, estimate, Format.TEXT)
+
+
+# --- what commands share
+
+
+def _require_folder(out: Path) -> None:
+    if not out.parent.is_dir():
+        raise typer.BadParameter(f"--out: expected an existing folder, got {out.parent}.")
+
+
+def _finish(directory: Path, estimate: "Estimate", output: Format) -> None:
+    """Write the report, print the answer, leave with the exit code."""
+    from crashrate.runs import runner
+
+    path = _write_report(directory)
+    _print_result(runner.status(directory), output)
+    typer.echo(f"{directory / 'result.json'}, {path}", err=True)
+    if estimate.stop_reason.name == "BUDGET_ENDED":
+        raise typer.Exit(BUDGET_ENDED)
+
+
+def _write_report(directory: Path) -> Path:
+    from crashrate.reports.html import write_report
+    from crashrate.runs.record import load_run
+
+    return write_report(load_run(directory), directory / REPORT)
+
+
+def _print_result(result: dict[str, Any], output: Format) -> None:
+    """The answer on standard output: one sentence, or the JSON; doubts beside it."""
+    if output is Format.JSON:
+        typer.echo(json.dumps(result, indent=2, ensure_ascii=False))
+        return
+    typer.echo(result["sentence"])
+    if result["synthetic"]:
+        typer.echo(
+            "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True
+        )
+    typer.echo(f"Stopped: {result['stop_reason']}.", err=True)
+    for alarm in result["alarms"]:
+        typer.echo(f"Alarm: {alarm['message']}.", err=True)
+
+
+def _print_selection(selection: dict[str, Any]) -> None:
+    rows = list(zip(selection["n_components"], selection["bic"], strict=True))
+    if len(rows) == 1:
+        return
+    best = min(bic for _, bic in rows)
+    typer.echo("components           BIC")
+    for n, bic in rows:
+        typer.echo(f"{n:10d}  {bic:14.1f}{'  lowest' if bic == best else ''}")
+
+
+def _standing(campaign: "Campaign") -> str:
+    snapshot, calls = campaign.snapshot, campaign.n_calls
+    text = f"{calls} simulator runs, {snapshot.phase}"
+    if not snapshot.probability > 0:
+        return text
+    low, high = snapshot.interval
+    relative = (high - low) / 2 / snapshot.probability
+    return f"{text}: P = {snapshot.probability:.1e} ± {100 * relative:.0f} %"
+
+
+@contextmanager
+def _progress() -> Iterator[Say]:
+    """Progress on standard error: a line that changes on a terminal, now and then one elsewhere."""
+    from rich.console import Console
+
+    console = Console(stderr=True, highlight=False)
+    if console.is_terminal:
+        with console.status("starting") as shown:
+            yield shown.update
+    else:
+        yield _now_and_then()
+
+
+def _now_and_then() -> Say:
+    last = -SECONDS_BETWEEN_LINES
+
+    def say(text: str) -> None:
+        nonlocal last
+        if time.monotonic() - last >= SECONDS_BETWEEN_LINES:
+            last = time.monotonic()
+            typer.echo(text, err=True)
+
+    return say
+
+
+def main() -> None:
+    """Run the command line; the entry point of the ``crashrate`` command."""
+    app(prog_name="crashrate")
+
+
+if __name__ == "__main__":
+    main()

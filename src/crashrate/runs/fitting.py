@@ -1,0 +1,130 @@
+"""From events to a traffic model that remembers where it comes from."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crashrate.errors import InvalidInputError
+from crashrate.events import EventTable, read_events
+from crashrate.runs.scenario import Scenario
+from crashrate.traffic.model import TrafficModel
+
+AUTO = tuple(range(1, 16))
+N_SAMPLE = 2000  # events kept with the model, for plots
+
+
+def parse_components(text: str) -> tuple[int, ...]:
+    """Numbers of components to try: ``"9"``, ``"1:15"`` (both ends included) or ``"auto"``.
+
+    Raises
+    ------
+    InvalidInputError
+        If `text` is none of these.
+    """
+    if text == "auto":
+        return AUTO
+    first, colon, last = text.partition(":")
+    try:
+        low = int(first)
+        high = int(last) if colon else low
+    except ValueError:
+        low, high = 0, 0
+    if not 1 <= low <= high:
+        raise InvalidInputError(
+            f"components: expected a number such as 9, a range such as 1:15, or auto, got {text!r}."
+        )
+    return tuple(range(low, high + 1))
+
+
+def read_scenario_events(
+    scenario: Scenario, path: str | Path, *, drop_invalid: bool = False
+) -> EventTable:
+    """The events at `path` in the variables of `scenario`; see `events.read_events`."""
+    return read_events(
+        path,
+        scenario.variables,
+        scenario.events.columns,
+        closing=scenario.events.closing,
+        drop_invalid=drop_invalid,
+    )
+
+
+def fit_traffic(
+    scenario: Scenario,
+    events: EventTable,
+    components: Sequence[int],
+    *,
+    seed: int = 0,
+    synthetic: bool = False,
+    on_step: Callable[[int, int, str], None] | None = None,
+) -> TrafficModel:
+    """Fit a truncated mixture to events: the number of components with the lowest BIC.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Gives the box.
+    events : EventTable
+        In the scenario's variables.
+    components : sequence of int
+        Numbers of components to try.
+    seed : int
+        Of the fits' starts.
+    synthetic : bool
+        Whether the events were drawn, not recorded: the model says so.
+    on_step : callable, optional
+        As of `select_components`.
+
+    Returns
+    -------
+    TrafficModel
+        Its provenance holds "events" (source, counts and a sample for plots) and "selection" (the
+        criterion of every number tried).
+
+    Raises
+    ------
+    InvalidInputError
+        If there are fewer events than components.
+    NumericalError
+        If a fit collapses.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from crashrate.traffic.components import select_components
+
+    # one thread: the same bits on every machine's number of cores, so that a run can be resumed
+    with threadpool_limits(limits=1):
+        selection = select_components(
+            events.values,
+            components,
+            on_step=on_step,
+            lower=scenario.lower,
+            upper=scenario.upper,
+            random_state=seed,
+        )
+    model = selection.traffic_model(scenario.names)
+    provenance = {**model.provenance, "events": _origin(events, synthetic, seed)}
+    return TrafficModel(
+        model.weights,
+        model.means,
+        model.covariances,
+        model.lower,
+        model.upper,
+        model.names,
+        provenance,
+    )
+
+
+def _origin(events: EventTable, synthetic: bool, seed: int) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    n = min(N_SAMPLE, len(events))
+    sample = events.values[np.sort(rng.choice(len(events), n, replace=False))]
+    return {
+        "source": events.source,
+        "n": len(events),
+        "dropped": dict(events.dropped),
+        "synthetic": synthetic,
+        "sample": sample.tolist(),
+    }
