@@ -34,6 +34,10 @@ def _words(value: float) -> str:
     return in_words(value) if is_number(value) else MISSING
 
 
+def _relative(e: Estimate) -> str:
+    return f" (± {percent(e.relative_half_width)})" if is_number(e.relative_half_width) else ""
+
+
 def _answer(e: Estimate) -> tuple[Fact, ...]:
     has_bounds = e.bounds != (0.0, 1.0) and all(map(is_number, e.bounds))
     low, high = (power_of_ten(b) for b in e.bounds)
@@ -41,7 +45,7 @@ def _answer(e: Estimate) -> tuple[Fact, ...]:
         Fact("Probability", power_of_ten(e.probability), "Of one encounter, drawn from traffic."),
         Fact(
             f"{100 * e.confidence:g} % interval",
-            f"{interval_text(e.interval)} (± {percent(e.relative_half_width)})",
+            interval_text(e.interval) + _relative(e),
             "Holds the true probability in that share of campaigns, for this traffic model and "
             "this simulator.",
         ),

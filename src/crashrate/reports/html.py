@@ -1,11 +1,12 @@
 """The report: one HTML file that holds all it needs, for a reader who was not there."""
 
+import re
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from crashrate.errors import StoreError
-from crashrate.estimation.alarms import Alarm
+from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, in_words
 from crashrate.reports.evidence import evidence
 from crashrate.reports.likeliest import likeliest_crashes
@@ -17,6 +18,8 @@ from crashrate.runs.record import RunRecord
 if TYPE_CHECKING:
     from jinja2 import Template
 
+# a number as the command line prints it: typeset, it does not break at the sign
+_SCIENTIFIC = re.compile(r"\d\.\de[+-]\d\d")
 TEMPLATE = "report.html.j2"
 
 
@@ -62,6 +65,7 @@ def render_report(record: RunRecord) -> str:
     estimate = estimate_of(record.result)
     return _template().render(
         record=record,
+        running=estimate.stop_reason is StopReason.RUNNING,
         outcome=record.scenario.outcome,
         estimate=estimate,
         sentence=_sentence(record, estimate),
@@ -93,7 +97,8 @@ def _template() -> "Template":
 
 def _sentence(record: RunRecord, estimate: Estimate) -> str:
     outcome = record.scenario.outcome
-    return str(record.result.get("sentence") or estimate.sentence(outcome.event, outcome.per))
+    sentence = record.result.get("sentence") or estimate.sentence(outcome.event, outcome.per)
+    return _SCIENTIFIC.sub(lambda found: power_of_ten(float(found[0])), str(sentence))
 
 
 def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str], ...]:
@@ -103,7 +108,7 @@ def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str]
         return ()
     outcome = record.scenario.outcome
     return (
-        (power_of_ten(p), f"{outcome.event} per {outcome.per}: about one in {in_words(1 / p)}"),
+        (power_of_ten(p), f"P({outcome.event}) per {outcome.per}: about one in {in_words(1 / p)}"),
         (
             f"± {percent(estimate.relative_half_width)}",
             f"{100 * estimate.confidence:g} % interval, {interval_text(estimate.interval)}",

@@ -8,7 +8,7 @@ from crashrate.reports.figures.learned_set import (
     space_plot,
 )
 from crashrate.reports.figures.runs import line_plot, runs_plots
-from crashrate.reports.figures.section import section_plots
+from crashrate.reports.figures.section import NEAR, section_plots
 from crashrate.reports.learned import Learned, learned_set
 from crashrate.reports.panel import Panel
 from crashrate.runs.record import RunRecord
@@ -87,6 +87,7 @@ def _section_caption(learned: Learned) -> str:
     through = "likeliest simulated crash" if learned.reference_is_crash else "likeliest run"
     return (
         f"Two risk coordinates at a time, the others held at the {through}; the value stands above "
-        "each section. Runs within 8 % of the view from it are drawn: crosses crashed, "
-        "circles did not."
+        "each section. Shaded red: implied to crash; blue: implied safe; pale: undecided. Runs "
+        f"within {100 * NEAR:g} % of the view from the section are drawn: crosses crashed, circles "
+        "did not; a circle on red lies a little to the safer side of the section."
     )

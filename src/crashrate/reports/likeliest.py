@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crashrate.reports.axes import Axis, units_of, variable_axes
-from crashrate.reports.numbers import percent, plain
+from crashrate.reports.numbers import percent
 from crashrate.runs.record import RunRecord
 from crashrate.variables import FloatArray
 
@@ -51,10 +51,14 @@ def likeliest_crashes(record: RunRecord) -> CrashTable:
     columns = [*x.T, *(np.asarray(e(x)) for e in scenario.derived.values())]
     density = _relative(record.traffic.log_density(x)) if len(x) else np.empty(0)
     rows = tuple(
-        (int(i) + 1, percent(float(density[k])), tuple(plain(float(c[k]), 5) for c in columns))
+        (int(i) + 1, percent(float(density[k])), tuple(_cell(float(c[k])) for c in columns))
         for k, i in enumerate(chosen)
     )
     return CrashTable(headings, rows, _csv(scenario.names, x))
+
+
+def _cell(value: float) -> str:
+    return f"{value:#.5g}"
 
 
 def _relative(log_density: FloatArray) -> FloatArray:

@@ -17,10 +17,12 @@ def power_of_ten(value: float | None, digits: int = 2) -> str:
     """``2.0 × 10⁻⁶`` for small or large numbers, ``0.04`` for those near one."""
     if not is_number(value) or value is None:
         return MISSING
-    if value == 0 or 0.001 <= abs(value) < 10_000:
+    if value == 0:
+        return "0"
+    if 0.001 <= abs(value) < 10_000:
         return f"{value:.{digits}g}"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    return f"{mantissa} × 10{superscript(int(exponent))}"
+    return f"{mantissa}\u00a0×\u00a010{superscript(int(exponent))}"  # does not break
 
 
 def interval_text(interval: tuple[float, float]) -> str:
@@ -37,7 +39,7 @@ def percent(value: float | None) -> str:
     """A share as a percentage with two digits."""
     if not is_number(value) or value is None:
         return MISSING
-    return f"{float(f'{100 * value:.2g}'):,.12g} %"
+    return f"{float(f'{100 * value:.2g}'):,.12g}\u00a0%"
 
 
 def count(value: float | None) -> str:

@@ -8,16 +8,17 @@ from crashrate.estimation.estimate import Estimate, HistoryPoint, in_words
 from crashrate.reports.figures.style import (
     ACCENT,
     CRASH,
+    INK,
     MUTED,
     SAFE,
     axis,
     figure,
     log_axis,
-    padded,
 )
 from crashrate.reports.numbers import percent, power_of_ten
 from crashrate.reports.panel import Panel, Plot
 
+_ROOM = 6.0  # right of crude Monte Carlo's end, for its label
 _LOG_FROM = 5.0  # a logarithmic axis where the values span more than this factor
 
 
@@ -73,7 +74,7 @@ def _estimate_figure(points: Sequence[HistoryPoint], confidence: float) -> Any:
     calls = [p.n_calls for p in points]
     log = high / low > _LOG_FROM
     title = "crash probability"
-    y_axis = log_axis(title, low, high) if log else axis(title, range=list(padded(low, high)))
+    y_axis = log_axis(title, low, high) if log else axis(title, range=[0, high])
     floor = low if log else -math.inf
     hidden = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip"}
     upper = {"type": "scatter", "x": calls, "y": [p.upper for p in points], "showlegend": False}
@@ -142,12 +143,15 @@ def _half_width_figure(
         },
     ]
     if target is not None:
-        traces.append(_target_line(target, calls[0] / 2, last * 2))
+        traces.append(_target_line(target, calls[0] / 2, last * _ROOM))
     return figure(
         traces,
-        xaxis=log_axis("simulator runs", calls[0] / 2, last * 2),
+        xaxis=log_axis("simulator runs", calls[0] / 2, last * _ROOM),
         yaxis=log_axis("relative half-width", min(ends) / 1.6, max(ends) * 1.6, as_percent=True),
-        annotations=[_crude_note(last, estimate.relative_half_width)],
+        annotations=[
+            _note(calls[-1], relative[-1], f"{calls[-1]:,} runs", 44),
+            _note(last, crude_relative[-1], f"{in_words(last)} runs", 0),
+        ],
     )
 
 
@@ -163,14 +167,15 @@ def _target_line(target: float, start: float, end: float) -> dict[str, Any]:
     }
 
 
-def _crude_note(calls: float, half_width: float) -> dict[str, Any]:
+def _note(calls: float, half_width: float, text: str, to_the_right: int) -> dict[str, Any]:
     return {
         "x": math.log10(calls),
         "y": math.log10(half_width),
-        "text": f"{in_words(calls)} runs",
+        "text": text,
         "showarrow": True,
         "arrowcolor": MUTED,
-        "ax": -40,
-        "ay": -38,
-        "font": {"color": MUTED},
+        "arrowwidth": 1,
+        "ax": to_the_right,
+        "ay": -50,
+        "font": {"color": INK},
     }

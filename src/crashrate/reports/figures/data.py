@@ -90,7 +90,7 @@ def _pair(x: FloatArray, i: int, j: int, axes: tuple[Axis, ...], name: str, *, k
 def _histogram(events: FloatArray | None, draws: FloatArray, k: int, on: Axis, name: str) -> Plot:
     seen = draws if events is None else np.vstack([events, draws])
     low, high = _window(seen[:, k])
-    edges = np.linspace(max(low, seen[:, k].min()), high, _N_BINS + 1)
+    edges = np.linspace(max(low, seen[:, k].min()), min(high, seen[:, k].max()), _N_BINS + 1)
     traces = [] if events is None else [_bars(events[:, k], edges, name)]
     plot = figure(
         [*traces, _steps(draws[:, k], edges)],
@@ -120,12 +120,13 @@ def _bars(values: FloatArray, edges: FloatArray, name: str) -> dict[str, Any]:
 
 
 def _steps(values: FloatArray, edges: FloatArray) -> dict[str, Any]:
+    shares = _shares(values, edges)
     return {
         "type": "scatter",
-        "x": (edges[1:] + edges[:-1]) / 2,
-        "y": _shares(values, edges),
+        "x": edges,
+        "y": np.append(shares, shares[-1]),  # a step to the end of the last bin
         "mode": "lines",
-        "line": {"color": MODEL, "width": 2, "shape": "hvh"},
+        "line": {"color": MODEL, "width": 2, "shape": "hv"},
         "name": "drawn from the traffic model",
         "hoverinfo": "skip",
     }

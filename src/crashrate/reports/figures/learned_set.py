@@ -164,11 +164,14 @@ def _scene(learned: Learned, at: Sequence[int]) -> dict[str, Any]:
         for letter, k in zip("xyz", at, strict=True)
     }
     # the safe side in front would hide the boundary: look from where danger is
-    eye = [1.7 * learned.signs[k] for k in at]
+    eye = [1.45 * learned.signs[k] for k in at]
     return {
         **axes,
         "aspectmode": "cube",
-        "camera": {"eye": {"x": eye[0], "y": eye[1] * 0.75, "z": abs(eye[2]) * 0.6}},
+        "camera": {
+            "eye": {"x": eye[0], "y": eye[1] * 0.75, "z": abs(eye[2]) * 0.6},
+            "center": {"x": 0, "y": 0, "z": -0.12},
+        },
     }
 
 

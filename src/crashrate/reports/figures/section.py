@@ -23,8 +23,9 @@ from crashrate.reports.panel import Plot
 from crashrate.variables import BoolArray, FloatArray
 
 _GRID_SIZE = 140
-_NEAR = 0.08  # of the view: runs this close to the section are drawn on it
+NEAR = 0.03  # of the view: runs this close to the section are drawn on it
 _WORDS = {Label.UNDECIDED: "undecided", Label.SAFE: "implied safe", Label.CRASH: "implied crash"}
+_NAME = {"showarrow": False, "font": {"color": INK}, "bgcolor": "rgba(255,255,255,0.65)"}
 _MARGIN = {"l": 64, "r": 18, "t": 36, "b": 48}
 _MIN_CLEARANCE = 7  # grid cells around a region's name
 
@@ -117,14 +118,14 @@ def _names(learned: Learned, i: int, j: int, labels: np.ndarray) -> list[dict[st
             continue
         x = learned.signs[i] * _grid(learned, i)[column]
         y = learned.signs[j] * _grid(learned, j)[row]
-        notes.append({"x": x, "y": y, "text": word, "showarrow": False, "font": {"color": INK}})
+        notes.append({"x": x, "y": y, "text": word, **_NAME})
     return notes
 
 
 def near_section(learned: Learned, i: int, j: int) -> BoolArray:
     """Which runs lie so close to the section that it shows them."""
     others = [k for k in range(len(learned.axes)) if k not in (i, j)]
-    width = _NEAR * (learned.upper - learned.lower)
+    width = NEAR * (learned.upper - learned.lower)
     off = np.abs(learned.u - learned.reference)[:, others]
     return np.asarray((off <= width[others]).all(axis=1))
 
@@ -145,7 +146,12 @@ def _runs(learned: Learned, i: int, j: int) -> list[dict[str, Any]]:
             "y": physical[near & kind, 1],
             "mode": "markers",
             "name": name,
-            "marker": {"color": color, "symbol": symbol, "size": 8, "line": {"width": 1.5}},
+            "marker": {
+                "color": color,
+                "symbol": symbol,
+                "size": 8,
+                "line": {"width": 1.5, "color": color},
+            },
             "hovertemplate": f"{name}<br>{names[0]} = %{{x:.4g}}<br>{names[1]} = %{{y:.4g}}"
             "<extra></extra>",
         }

@@ -22,11 +22,17 @@ CRASH_FILL = "#F6CDB3"
 SAFE_FILL = "#C6DDED"
 UNDECIDED_FILL = "#F4F4F2"
 
+# widest axis in decades, and what its ticks begin with
+_MANTISSAS = ((0.75, (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)), (1.2, (1, 2, 3, 5)), (2.5, (1, 2, 5)))
+
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 _CONFIG = {
     "responsive": True,
     "displaylogo": False,
     "modeBarButtonsToRemove": ["lasso2d", "select2d", "autoScale2d"],
+    # plotly's own default offers to upload the figure: a report must not
+    "showSendToCloud": False,
+    "plotlyServerURL": "",
 }
 
 
@@ -96,10 +102,10 @@ def log_axis(title: str, low: float, high: float, *, as_percent: bool = False) -
 
 
 def log_ticks(low: float, high: float) -> list[float]:
-    """Ticks inside [low, high]: 1, 2, 5 of every decade, or powers of ten where those are many."""
+    """Ticks inside [low, high]: several of every decade, or powers of ten where those are many."""
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
-    decades = last - first
-    mantissas = (1, 2, 5) if decades <= 2 else (1,)
+    decades = math.log10(high / low)
+    mantissas = next((m for limit, m in _MANTISSAS if decades <= limit), (1,))
     step = max(1, math.ceil(decades / 8))
     ticks = [float(f"{m}e{e}") for e in range(first, last + 1, step) for m in mantissas]
     return [t for t in ticks if low * (1 - 1e-9) <= t <= high * (1 + 1e-9)]
@@ -108,7 +114,7 @@ def log_ticks(low: float, high: float) -> list[float]:
 def _tick(value: float) -> str:
     if 0.01 <= value < 10_000:
         return f"{value:,g}"
-    mantissa, exponent = f"{value:.0e}".split("e")
+    mantissa, exponent = f"{value:.1e}".replace(".0e", "e").split("e")
     power = f"10{superscript(int(exponent))}"
     return power if mantissa == "1" else f"{mantissa}×{power}"
 
@@ -129,8 +135,18 @@ def padded(low: float, high: float, share: float = 0.06) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def to_div(plot: go.Figure, key: str) -> str:
-    """The HTML of a figure; the page holds plotly.js once, elsewhere."""
+def to_div(plot: go.Figure, key: str, *, buttons: bool = True) -> str:
+    """The HTML of a figure; the page holds plotly.js once, elsewhere.
+
+    Parameters
+    ----------
+    plot : Figure
+    key : str
+        Identifier in the page.
+    buttons : bool
+        Whether plotly's buttons are there; on small plots they would hide the figure.
+    """
+    config = _CONFIG if buttons else _CONFIG | {"displayModeBar": False}
     return str(
-        plotly.io.to_html(plot, full_html=False, include_plotlyjs=False, div_id=key, config=_CONFIG)
+        plotly.io.to_html(plot, full_html=False, include_plotlyjs=False, div_id=key, config=config)
     )
