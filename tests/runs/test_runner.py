@@ -1,0 +1,292 @@
+import json
+import sqlite3
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crashrate.errors import InvalidInputError, SimulationError, StoreError
+from crashrate.estimation.campaign import Campaign
+from crashrate.runs.record import load_run
+from crashrate.runs.runner import run, status
+from crashrate.runs.scenario import Scenario
+from crashrate.traffic.model import TrafficModel
+
+REQUIRED_KEYS = (
+    "schema probability interval confidence relative_half_width n_calls n_crashes n_eff bounds "
+    "crude_monte_carlo_calls acceleration alarms stop_reason seed method versions"
+).split()
+SETTINGS = dict(seed=3, method="small", relative_half_width=0.01, max_calls=60)
+N_BATCHES = 6
+
+
+def result_text(directory):
+    return (directory / "result.json").read_text()
+
+
+@pytest.fixture
+def uninterrupted(scenario, traffic, tmp_path):
+    directory = tmp_path / "whole"
+    run(scenario, traffic, directory, **SETTINGS)
+    return directory
+
+
+def test_result_holds_every_promised_key(uninterrupted):
+    result = json.loads(result_text(uninterrupted))
+    assert set(REQUIRED_KEYS) <= set(result)
+    assert set(result["versions"]) == {"crashrate", "numpy", "scipy", "python"}
+    assert result["n_calls"] == 60
+    assert result["synthetic"] is False
+    assert status(uninterrupted) == result
+
+
+def test_estimate_is_that_of_a_campaign_alone(scenario, traffic, tmp_path, vehicle):
+    found = run(scenario, traffic, tmp_path / "run", **SETTINGS)
+    campaign = Campaign(traffic, risk=scenario.risk_mapping(), **SETTINGS)
+    while not campaign.done:
+        campaign.tell(vehicle(campaign.ask()))
+    assert found == campaign.estimate()
+
+
+@pytest.mark.parametrize("at", range(1, N_BATCHES + 1))
+def test_interrupted_in_the_simulator_gives_the_same_bits(
+    scenario, traffic, tmp_path, uninterrupted, vehicle, at
+):
+    vehicle.trouble = {vehicle.n_batches + at: KeyboardInterrupt()}
+    with pytest.raises(KeyboardInterrupt):
+        run(scenario, traffic, tmp_path / "cut", **SETTINGS)
+    assert status(tmp_path / "cut")["n_calls"] == 10 * (at - 1)
+    before = vehicle.n_runs
+    run(scenario, traffic, tmp_path / "cut", **SETTINGS)
+    assert vehicle.n_runs - before == 60 - 10 * (at - 1)  # nothing is simulated twice
+    assert result_text(tmp_path / "cut") == result_text(uninterrupted)
+
+
+@pytest.mark.parametrize("at", range(1, N_BATCHES + 1))
+def test_interrupted_while_thinking_gives_the_same_bits(
+    scenario, traffic, tmp_path, uninterrupted, monkeypatch, at
+):
+    """The batch is stored, the campaign has not heard of it: the worst moment."""
+    told = []
+
+    def tell(self, outcomes, original=Campaign.tell):
+        told.append(len(outcomes))
+        if len(told) == at:
+            raise KeyboardInterrupt
+        original(self, outcomes)
+
+    monkeypatch.setattr(Campaign, "tell", tell)
+    with pytest.raises(KeyboardInterrupt):
+        run(scenario, traffic, tmp_path / "cut", **SETTINGS)
+    record = load_run(tmp_path / "cut")
+    assert len(record.x) == record.result["n_calls"] == 10 * (at - 1)
+    run(scenario, traffic, tmp_path / "cut", **SETTINGS)
+    assert result_text(tmp_path / "cut") == result_text(uninterrupted)
+
+
+@pytest.mark.parametrize("at", range(1, N_BATCHES + 1))
+def test_interrupted_while_replaying_gives_the_same_bits(scenario, traffic, uninterrupted, at):
+    def stop(campaign):
+        if campaign.n_calls == 10 * at:
+            raise KeyboardInterrupt
+
+    before = result_text(uninterrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(scenario, traffic, uninterrupted, **SETTINGS, on_progress=stop)
+    assert result_text(uninterrupted) == before
+    run(scenario, traffic, uninterrupted, **SETTINGS)
+    assert result_text(uninterrupted) == before
+
+
+@pytest.mark.parametrize("first", [1, 7, 10, 34, 59, 60])
+def test_raised_budget_goes_on_as_if_never_stopped(
+    scenario, traffic, tmp_path, uninterrupted, vehicle, first
+):
+    before = vehicle.n_runs
+    run(scenario, traffic, tmp_path / "grown", **(SETTINGS | {"max_calls": first}))
+    run(scenario, traffic, tmp_path / "grown", **SETTINGS)
+    assert vehicle.n_runs - before == 60  # a batch that the budget cut is completed
+    assert result_text(tmp_path / "grown") == result_text(uninterrupted)
+
+
+def test_smaller_budget_is_answered_from_the_store(
+    scenario, traffic, tmp_path, uninterrupted, vehicle
+):
+    run(scenario, traffic, tmp_path / "small", **(SETTINGS | {"max_calls": 34}))
+    before = vehicle.n_runs
+    run(scenario, traffic, uninterrupted, **(SETTINGS | {"max_calls": 34}))
+    assert vehicle.n_runs == before
+    assert result_text(uninterrupted) == result_text(tmp_path / "small")
+    assert len(load_run(uninterrupted).x) == 34
+    run(scenario, traffic, uninterrupted, **SETTINGS)
+    assert vehicle.n_runs == before  # the rest is still there
+
+
+def test_tightened_target_goes_on(scenario, traffic, tmp_path, vehicle):
+    loose = run(scenario, traffic, tmp_path, **(SETTINGS | {"relative_half_width": 0.8}))
+    before = vehicle.n_runs
+    tight = run(scenario, traffic, tmp_path, **SETTINGS)
+    assert loose.stop_reason.name == "TARGET_MET"
+    assert tight.n_calls == loose.n_calls + vehicle.n_runs - before == 60
+
+
+def test_target_and_budget_default_to_the_scenario(scenario, traffic, tmp_path):
+    run(scenario, traffic, tmp_path, seed=3, method="small")
+    assert status(tmp_path)["target"] == {"relative_half_width": 0.3, "max_calls": 60}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"seed": 4}, 'seed: has "3", asked for "4"'),
+        ({"method": "sequential"}, "method"),
+        ({"batch_size": 20}, "batch_size"),
+    ],
+)
+def test_other_configuration_is_refused(scenario, traffic, uninterrupted, change, says):
+    with pytest.raises(StoreError, match="holds a run of another configuration") as raised:
+        run(scenario, traffic, uninterrupted, **(SETTINGS | change))
+    assert says in str(raised.value)
+    assert "--out" in str(raised.value)
+
+
+def test_other_scenario_is_refused_section_by_section(scenario, traffic, uninterrupted):
+    other = Scenario.from_text(scenario.text.replace("a + b", "a + 2 * b"), scenario.name)
+    with pytest.raises(StoreError, match=r"\[derived\]: has .*asked for"):
+        run(other, traffic, uninterrupted, **SETTINGS)
+
+
+def test_other_traffic_is_refused(scenario, traffic, uninterrupted):
+    other = replace(traffic, means=traffic.means + 1e-12)
+    with pytest.raises(StoreError, match="traffic model"):
+        run(scenario, other, uninterrupted, **SETTINGS)
+
+
+def test_comments_events_target_and_provenance_are_not_the_run(scenario, traffic, uninterrupted):
+    text = scenario.text.replace("max_calls = 60", "max_calls = 50  # fewer")
+    other = Scenario.from_text(text, "another_name")
+    run(other, replace(traffic, provenance={"note": "same numbers"}), uninterrupted, **SETTINGS)
+
+
+def test_replay_that_parts_is_refused(scenario, traffic, uninterrupted):
+    with sqlite3.connect(uninterrupted / "campaign.sqlite") as store:
+        x = np.frombuffer(store.execute("SELECT x FROM batches WHERE k = 2").fetchone()[0]).copy()
+        x[-1] = np.nextafter(x[-1], np.inf)  # one bit
+        store.execute("UPDATE batches SET x = ? WHERE k = 2", (x.tobytes(),))
+    store.close()
+    with pytest.raises(StoreError, match="situations of batch 2 again"):
+        run(scenario, traffic, uninterrupted, **SETTINGS)
+
+
+def test_outcomes_come_from_the_store_not_from_the_simulator(scenario, traffic, uninterrupted):
+    """Negative control of the replay: another stored outcome leads elsewhere, and is noticed."""
+    with sqlite3.connect(uninterrupted / "campaign.sqlite") as store:
+        y = np.frombuffer(store.execute("SELECT outcomes FROM batches WHERE k=0").fetchone()[0])
+        store.execute("UPDATE batches SET outcomes = ? WHERE k = 0", ((1 - y).tobytes(),))
+    store.close()
+    with pytest.raises(StoreError, match="situations of batch 1 again"):
+        run(scenario, traffic, uninterrupted, **SETTINGS)
+
+
+@pytest.mark.parametrize("trouble", [SimulationError("engine fell off."), ValueError("bug")])
+def test_failed_simulator_leaves_a_resumable_run(
+    scenario, traffic, tmp_path, uninterrupted, vehicle, trouble
+):
+    vehicle.trouble = {vehicle.n_batches + 3: trouble}
+    with pytest.raises(type(trouble)) as raised:
+        run(scenario, traffic, tmp_path / "cut", **SETTINGS)
+    if isinstance(trouble, SimulationError):
+        assert "The 20 simulator runs before are stored" in str(raised.value)
+    assert status(tmp_path / "cut")["stop_reason"] == "not finished"
+    run(scenario, traffic, tmp_path / "cut", **SETTINGS)
+    assert result_text(tmp_path / "cut") == result_text(uninterrupted)
+
+
+def test_odd_outcomes_are_not_stored(scenario, traffic, tmp_path, monkeypatch):
+    monkeypatch.setattr(Scenario, "simulator", lambda _: lambda x: x[:, 0])
+    with pytest.raises(SimulationError, match="expected booleans"):
+        run(scenario, traffic, tmp_path, **SETTINGS)
+    assert len(load_run(tmp_path).x) == 0
+
+
+def test_failed_runs_are_outcomes(scenario, traffic, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        Scenario, "simulator", lambda _: lambda x: np.where(x[:, 0] > 1, np.nan, x[:, 1] > 0)
+    )
+    first = run(scenario, traffic, tmp_path, **SETTINGS)
+    assert first.n_failed > 0
+    assert run(scenario, traffic, tmp_path, **SETTINGS).n_failed == first.n_failed
+    assert np.isnan(load_run(tmp_path).outcomes).sum() == first.n_failed
+
+
+def test_other_variables_are_refused(scenario, traffic, tmp_path):
+    named = replace(traffic, names=("a", "c"))
+    with pytest.raises(InvalidInputError, match=r"\(a, b\), got \(a, c\)"):
+        run(scenario, named, tmp_path / "run", **SETTINGS)
+    boxed = TrafficModel([1.0], [[0.5, 0.0]], [np.eye(2)], [0.0, -5.0], [9.0, 5.0], ("a", "b"))
+    with pytest.raises(InvalidInputError, match="lower = -inf for b, got -5"):
+        run(scenario, boxed, tmp_path / "run", **SETTINGS)
+    assert not (tmp_path / "run").exists()
+
+
+def test_result_without_a_store_is_not_overwritten(scenario, traffic, tmp_path):
+    (tmp_path / "result.json").write_text("precious")
+    with pytest.raises(StoreError, match="expected a folder without a run"):
+        run(scenario, traffic, tmp_path, **SETTINGS)
+    assert result_text(tmp_path) == "precious"
+
+
+def test_two_writers_are_noticed(scenario, traffic, tmp_path, vehicle):
+    def meddle(campaign):
+        if campaign.n_calls == 20:
+            with sqlite3.connect(tmp_path / "campaign.sqlite") as store:
+                store.execute("INSERT INTO batches VALUES (2, 0, x'', x'')")
+            store.close()
+
+    with pytest.raises(StoreError, match="another process writes"):
+        run(scenario, traffic, tmp_path, **SETTINGS, on_progress=meddle)
+
+
+def test_status_and_record_say_what_is_missing(tmp_path, uninterrupted):
+    with pytest.raises(StoreError, match="expected a run folder"):
+        status(tmp_path / "nowhere")
+    (uninterrupted / "result.json").unlink()
+    with pytest.raises(StoreError, match="no result yet"):
+        load_run(uninterrupted)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"schema": 1}', "\x00"])
+def test_damaged_result_is_refused_and_written_again(scenario, traffic, uninterrupted, text):
+    before = result_text(uninterrupted)
+    (uninterrupted / "result.json").write_text(text)
+    with pytest.raises(StoreError, match="damaged"):
+        status(uninterrupted)
+    run(scenario, traffic, uninterrupted, **SETTINGS)
+    assert result_text(uninterrupted) == before
+
+
+def test_record_is_what_was_run(scenario, traffic, uninterrupted):
+    record = load_run(uninterrupted)
+    assert record.directory == uninterrupted
+    assert record.traffic == traffic
+    assert record.scenario.fingerprint == scenario.fingerprint
+    assert record.x.shape == (60, 2)
+    np.testing.assert_array_equal(record.outcomes, record.x.sum(axis=1) > 1.0)
+    assert not record.x.flags.writeable
+    assert record.result["n_crashes"] == record.outcomes.sum()
+
+
+def test_more_results_than_stored_is_refused(uninterrupted):
+    result = json.loads(result_text(uninterrupted)) | {"n_calls": 61}
+    (uninterrupted / "result.json").write_text(json.dumps(result))
+    with pytest.raises(StoreError, match="expected the 61 simulator runs"):
+        load_run(uninterrupted)
+
+
+def test_synthetic_events_are_said(scenario, traffic, tmp_path):
+    drawn = replace(traffic, provenance={"events": {"n": 5, "synthetic": True, "sample": [[1]]}})
+    run(scenario, drawn, tmp_path, **SETTINGS)
+    result = status(tmp_path)
+    assert result["synthetic"] is True
+    assert result["traffic"]["events"] == {"n": 5, "synthetic": True}
+    assert load_run(tmp_path).synthetic
