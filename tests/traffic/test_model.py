@@ -170,7 +170,7 @@ def test_bad_rows_and_boxes_are_refused():
         model.log_density([1.0, 2.0, 3.0])
     with pytest.raises(InvalidInputError, match="row 0, column 1"):
         model.log_density([[1.0, np.nan]])
-    with pytest.raises(InvalidInputError, match="speed, gap, got .3,."):
+    with pytest.raises(InvalidInputError, match=r"speed, gap, got \(3,\)"):
         model.box_probability([1.0, 2.0, 3.0], [1.0, 2.0])
     with pytest.raises(InvalidInputError, match="nan in it"):
         model.box_probability([1.0, np.nan], [1.0, 2.0])

@@ -26,6 +26,7 @@ from crashrate.traffic.truncated_components import Box, Components, components_a
 from crashrate.variables import BoolArray, FloatArray
 
 _MAX_HALVINGS = 30
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ def lee_scott_step(events: Events, prior: Prior, mixture: Mixture) -> Step:
     step[definite] = (
         to_natural(means[definite], covariances[definite]) - mixture.components.theta[definite]
     )
-    downhill = (step * gradient).sum(axis=1) <= 0.0
+    downhill = (step * gradient).sum(axis=1) < -_ROUNDING * events.n
     step[downhill] = uphill[downhill]
     return _safeguarded(events, prior, mixture, step, ~definite | downhill)
 
@@ -85,6 +86,7 @@ def _safeguarded(
     """Move each component by its step, halved until its Q_k does not fall."""
     current = mixture.components
     before = _q(prior, mixture, current)
+    before -= _ROUNDING * (np.abs(before) + 1.0)  # at its maximum Q_k moves by rounding alone
     accepted, shortened = current, replaced.copy()
     pending = np.ones(len(step), bool)
     scale = 1.0
