@@ -196,7 +196,7 @@ def test_failed_runs_are_shown_as_such(build):
     assert "run: failed" in text
 
 
-def test_another_event_gets_its_words(build, estimate):
+def test_another_event_gets_its_words(build):
     words = '[outcome]\nevent = "collision"\nper = "merge"\n'
     base = build()
     page = Page(render_report(build(base.scenario.text + words)))
@@ -223,3 +223,10 @@ def test_rendering_is_quick(build):
     start = time.process_time()
     render_report(record)
     assert time.process_time() - start < 3
+
+
+def test_an_interval_of_no_width(build, estimate):
+    exact = estimate(interval=(1.976e-6, 1.976e-6), stop_reason=StopReason.IMPOSSIBLE, history=())
+    page = Page(render_report(build(estimate=exact)))
+    assert "every situation is decided" in page.text
+    assert not re.search(r"\b(nan|None|inf|inf trillion)\b", page.text)

@@ -1,5 +1,6 @@
 """The report: one HTML file that holds all it needs, for a reader who was not there."""
 
+import math
 import re
 from functools import cache
 from pathlib import Path
@@ -118,8 +119,10 @@ def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str]
 
 
 def _effort(estimate: Estimate) -> str:
-    crude = in_words(estimate.crude_monte_carlo_calls)
-    return f"of the simulator, in place of {crude} by crude Monte Carlo"
+    calls = estimate.crude_monte_carlo_calls
+    if not math.isfinite(calls):
+        return "of the simulator"
+    return f"of the simulator, in place of {in_words(calls)} by crude Monte Carlo"
 
 
 def _panels(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:

@@ -48,8 +48,10 @@ def half_width_panel(estimate: Estimate, target: float | None) -> Panel:
     """Relative half-width of the interval over runs, the target, and crude Monte Carlo's."""
     title = "How tight the interval is, against crude Monte Carlo"
     points = [p for p in _estimates(estimate) if p.upper > p.lower]
-    if not points or not estimate.probability > 0:
-        return Panel("half-width", title, "No interval around an estimate above zero yet.")
+    if not points or not math.isfinite(estimate.crude_monte_carlo_calls):
+        return Panel(
+            "half-width", title, "No interval of some width around an estimate above zero yet."
+        )
     plot = Plot(
         _half_width_figure(points, estimate, target),
         f"Relative half-width falls to {percent(estimate.relative_half_width)} at "
@@ -117,6 +119,7 @@ def _half_width_figure(
     last = estimate.crude_monte_carlo_calls
     calls = [p.n_calls for p in points]
     relative = [(p.upper - p.lower) / 2 / p.probability for p in points]
+    end = _ROOM * max(last, calls[-1])
     crude = [calls[0], last]
     unit = estimate.relative_half_width * math.sqrt(last)  # crude half-width falls as 1/√n
     crude_relative = [unit / math.sqrt(n) for n in crude]
@@ -143,10 +146,10 @@ def _half_width_figure(
         },
     ]
     if target is not None:
-        traces.append(_target_line(target, calls[0] / 2, last * _ROOM))
+        traces.append(_target_line(target, calls[0] / 2, end))
     return figure(
         traces,
-        xaxis=log_axis("simulator runs", calls[0] / 2, last * _ROOM),
+        xaxis=log_axis("simulator runs", calls[0] / 2, end),
         yaxis=log_axis("relative half-width", min(ends) / 1.6, max(ends) * 1.6, as_percent=True),
         annotations=[
             _note(calls[-1], relative[-1], f"{calls[-1]:,} runs", 44),

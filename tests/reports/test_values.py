@@ -1,0 +1,104 @@
+import json
+import math
+
+import pytest
+
+from crashrate.estimation.alarms import Alarm
+from crashrate.reports.axes import units_of
+from crashrate.reports.evidence import evidence
+from crashrate.reports.likeliest import likeliest_crashes
+from crashrate.reports.numbers import count, percent, plain, power_of_ten
+from crashrate.reports.results import estimate_of
+from crashrate.reports.units import derived_unit
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.976e-6, "2.0 × 10⁻⁶"),
+        (123456.0, "1.2 × 10⁵"),
+        (0.05, "0.05"),
+        (0, "0"),
+        (None, "not available"),
+        (math.nan, "not available"),
+        (math.inf, "not available"),
+    ],
+)
+def test_powers_of_ten(value, text):
+    assert power_of_ten(value).replace("\u00a0", " ") == text
+
+
+def test_percentages_and_counts():
+    assert percent(0.0431).replace("\u00a0", " ") == "4.3 %"
+    assert percent(98.0).replace("\u00a0", " ") == "9,800 %"
+    assert percent(1e-6).replace("\u00a0", " ") == "0.0001 %"
+    assert (percent(None), count(math.nan), plain(None)) == ("not available",) * 3
+    assert count(157757) == "157,757"
+
+
+def test_the_estimate_comes_back_from_json(estimate):
+    e = estimate(alarms=(Alarm.NO_ORDER,))
+    back = estimate_of(json.loads(json.dumps(e.to_dict())))
+    assert back.to_dict() == e.to_dict()
+    assert back.sentence() == e.sentence()
+    nothing = estimate(probability=math.nan, standard_error=math.inf, history=())
+    assert math.isnan(estimate_of(nothing.to_dict()).probability)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("1 / inv_range", "m"),
+        ("inv_ttc / inv_range", "m/s"),
+        ("inv_ttc * inv_ttc / inv_range", "m/s²"),
+        ("v_lead ** 2 / 2", "m²/s²"),
+        ("v_lead + inv_ttc / inv_range", "m/s"),
+        ("v_lead / v_lead", ""),
+        ("(v_lead ** 2) ** 0.5", "m/s"),
+        ("-v_lead", "m/s"),
+        ("v_lead + inv_ttc", ""),
+        ("exp(v_lead)", ""),
+        ("v_lead ** 0.5", ""),
+        ("odd * v_lead", ""),
+        ("unknown * v_lead", ""),
+    ],
+)
+def test_units_of_derived_quantities(text, unit):
+    units = {"v_lead": "m/s", "inv_range": "1/m", "inv_ttc": "s^-1", "odd": "fur-long?"}
+    assert derived_unit(text, units) == unit
+
+
+def test_units_of_a_scenario(build):
+    assert units_of(build().scenario) == {
+        "v_lead": "m/s",
+        "inv_range": "1/m",
+        "inv_ttc": "1/s",
+        "range": "m",
+        "closing_speed": "m/s",
+    }
+
+
+def test_the_likeliest_crashes(build):
+    record = build()
+    table = likeliest_crashes(record)
+    assert [a.label for a in table.headings] == [
+        "v_lead [m/s]", "inv_range [1/m]", "inv_ttc [1/s]", "range [m]", "closing_speed [m/s]",
+    ]  # fmt: skip
+    runs = [run - 1 for run, _, _ in table.rows]
+    assert len(runs) == 10
+    density = record.traffic.log_density(record.x)
+    crashes = [i for i in range(len(density)) if record.outcomes[i] == 1]
+    assert runs == sorted(crashes, key=lambda i: -density[i])[:10]
+    v, k, t = record.x[runs[0]]
+    assert [float(c) for c in table.rows[0][2]] == pytest.approx([v, k, t, 1 / k, t / k], rel=1e-4)
+    # the CSV gives the situations back bit for bit
+    lines = table.csv.splitlines()
+    assert lines[0] == "v_lead,inv_range,inv_ttc"
+    assert [[float(c) for c in line.split(",")] for line in lines[1:]] == record.x[runs].tolist()
+
+
+def test_evidence_without_an_order_claims_no_bounds(build, estimate):
+    e = estimate(bounds=(0.0, 1.0))
+    facts = {f.name: f for f in evidence(build(estimate=e), e)}
+    assert facts["Bounds"].value == "none"
+    assert "Nothing is implied" in facts["Bounds"].meaning
