@@ -6,7 +6,7 @@ import numpy.typing as npt
 from crashrate.variables import FloatArray
 
 # comparisons of all pairs are made among at most this many points
-MAX_COMPARED = 1000
+MAX_COMPARED = 300
 
 
 def antichain(u: FloatArray, n: int) -> npt.NDArray[np.intp]:

@@ -62,9 +62,9 @@ class Huang2017Settings:
         Draws, most of them without a simulator run, after which estimating gives up.
     """
 
-    n_per_iteration: int = 100
+    n_per_iteration: int = 300
     max_iterations: int = 20
-    max_elements: int = 60
+    max_elements: int = 100
     learning_share: float = 0.25
     defensive_share: float = 0.1
     audit_share: float = 0.05

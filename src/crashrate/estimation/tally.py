@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Self
 
-from scipy.special import ndtri
+from scipy.special import stdtrit
 
 from crashrate.estimation.crude import upper_end
 from crashrate.variables import FloatArray
@@ -76,8 +76,13 @@ class Tally:
         return math.log(self.squares / self.n) / math.log(self.mean)
 
     def half_width(self, confidence: float) -> float:
-        """Half the interval of the mean, by the normal approximation."""
-        return float(ndtri(0.5 + confidence / 2)) * self.standard_error
+        """Half the interval of the mean.
+
+        # differs: Student's quantile with n_eff - 1 degrees of freedom, where the paper takes the
+        # normal one: the standard error of a few unequal weights is itself uncertain.
+        """
+        freedom = max(self.n_eff - 1.0, 1.0)
+        return float(stdtrit(freedom, 0.5 + confidence / 2)) * self.standard_error
 
     def interval(self, confidence: float, largest_weight: float) -> tuple[float, float]:
         """The interval, with every failed simulation counted as safe below and a crash above.
