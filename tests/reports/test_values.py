@@ -102,3 +102,11 @@ def test_evidence_without_an_order_claims_no_bounds(build, estimate):
     facts = {f.name: f for f in evidence(build(estimate=e), e)}
     assert facts["Bounds"].value == "none"
     assert "Nothing is implied" in facts["Bounds"].meaning
+
+
+def test_the_evidence_says_where_the_events_came_from(build, estimate):
+    events = {"n": 1000, "source": "events.csv", "dropped": {"not closing": 12, "NaN": 0}}
+    facts = {f.name: f for f in evidence(build(provenance={"events": events}), estimate())}
+    assert facts["Traffic model"].value.endswith(
+        "fitted to 1,000 recorded events (events.csv); left out: 12 (not closing)"
+    )

@@ -1,6 +1,8 @@
 """The table of evidence: what the estimate rests on, each number with its meaning."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from crashrate.estimation.estimate import Estimate, in_words
 from crashrate.reports.numbers import (
@@ -124,10 +126,20 @@ def _origin(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
 
 
 def _traffic(record: RunRecord) -> str:
-    traffic = record.traffic
-    events = traffic.provenance.get("events") or {}
+    traffic, provenance = record.traffic, record.traffic.provenance
+    events = provenance.get("events") or {}
     text = f"{len(traffic.weights)} truncated normal components in {', '.join(traffic.names)}"
+    if provenance.get("description"):
+        text += f": {provenance['description']}"
     if not events.get("n"):
         return text
     kind = "synthetic" if record.synthetic else "recorded"
-    return f"{text}, fitted to {events['n']:,} {kind} events"
+    source = f" ({events['source']})" if events.get("source") else ""
+    return f"{text}, fitted to {events['n']:,} {kind} events{source}{_dropped(events)}"
+
+
+def _dropped(events: Mapping[str, Any]) -> str:
+    dropped = {why: n for why, n in (events.get("dropped") or {}).items() if n}
+    if not dropped:
+        return ""
+    return "; left out: " + ", ".join(f"{n:,} ({why})" for why, n in dropped.items())

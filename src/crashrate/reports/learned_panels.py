@@ -89,5 +89,6 @@ def _section_caption(learned: Learned) -> str:
         f"Two risk coordinates at a time, the others held at the {through}; the value stands above "
         "each section. Shaded red: implied to crash; blue: implied safe; pale: undecided. Runs "
         f"within {100 * NEAR:g} % of the view from the section are drawn: crosses crashed, circles "
-        "did not; a circle on red lies a little to the safer side of the section."
+        "did not. A circle on red, or a cross on blue, lies a little off the section"
+        f"{' or contradicts the order' if learned.monotone.contradictions else ''}."
     )

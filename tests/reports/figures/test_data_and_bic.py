@@ -42,3 +42,10 @@ def test_without_a_selection_bic_says_so():
     panel = bic_panel({}, 9)
     assert panel.plots == ()
     assert "given, not chosen" in panel.caption
+
+
+def test_a_single_number_of_components_is_no_comparison():
+    panel = bic_panel({"selection": {"n_components": [9], "bic": [-730907.4]}}, 9)
+    assert panel.plots == ()
+    assert "Only K = 9 was tried" in panel.caption
+    assert "-730,907" in panel.caption

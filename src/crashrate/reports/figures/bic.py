@@ -29,21 +29,24 @@ def bic_panel(provenance: Mapping[str, Any], n_components: int) -> Panel:
             "data: this traffic model holds no comparison of the Bayesian information criterion.",
         )
     ks, values = list(selection["n_components"]), list(selection["bic"])
+    if len(ks) == 1:
+        return Panel(
+            _KEY,
+            _TITLE,
+            f"Only K = {ks[0]} was tried, with a Bayesian information criterion of "
+            f"{values[0]:,.0f}: the number of components was given, not chosen from the data.",
+        )
     return Panel(_KEY, _TITLE, _caption(ks, values, n_components), (_plot(ks, values),))
 
 
 def _caption(ks: list[int], values: list[float], n_components: int) -> str:
     best = ks[values.index(min(values))]
-    text = (
+    return (
         f"Bayesian information criterion over the number of components K; lower is better. Lowest "
-        f"of those compared: K = {best} (ringed). In use: K = {n_components}."
+        f"of those compared: K = {best} (ringed). In use: K = {n_components}. A difference of a "
+        "few units does not tell two models apart, and says little about the tail in which "
+        "crashes lie."
     )
-    if len(ks) > 1:
-        text += (
-            " A difference of a few units does not tell two models apart, and says little about "
-            "the tail in which crashes lie."
-        )
-    return text
 
 
 def _plot(ks: list[int], values: list[float]) -> Plot:
