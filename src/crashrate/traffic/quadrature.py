@@ -20,8 +20,10 @@ from crashrate.variables import BoolArray, FloatArray
 
 # Gauss-Legendre nodes per dimension, refined until two rungs agree; each rung is good to about
 # the square of what the difference from the one before shows.
-_RUNGS = (20, 36, 72, 144)
+_RUNGS = (20, 36, 72, 144, 288)
 _AGREEMENT = 1e-6
+_LAST_AGREEMENT = 1e-4
+_MAX_RESIDUAL = 1e-3  # of a saddle point that still tells where the mass is
 _MAX_TENSOR_DIMENSION = 3
 _SOBOL_SEED = 20170611  # fixed: the same box gives the same bits
 _SOBOL_LOG2 = 15  # 8 x 4096 points
@@ -151,7 +153,9 @@ def refined_nodes(chain: Chain) -> Iterator[tuple[IntArray, Nodes]]:
         for group in _groups(pending, n ** (d - 1) * d):
             nodes = tensor_nodes(chain.take(group), tilting.take(group), Rule(n, FINE.log_drop))
             new = nodes.log_probability()
-            settled = (np.abs(new - log_p[group]) < _AGREEMENT) | (d == 1)
+            enough = _LAST_AGREEMENT if n == _RUNGS[-1] else _AGREEMENT
+            settled = (np.abs(new - log_p[group]) < enough) | (d == 1)
+            settled &= tilting.residual[group] < _MAX_RESIDUAL
             log_p[group] = new
             unsettled.append(group[~settled])
             yield group[settled], nodes.take(settled)

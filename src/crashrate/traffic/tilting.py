@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from crashrate.errors import NumericalError
 from crashrate.traffic.one_dimension import interval_moments, log_interval_probability
-from crashrate.variables import FloatArray
+from crashrate.variables import BoolArray, FloatArray
 
 IntArray = npt.NDArray[np.int64]
 
@@ -177,30 +177,55 @@ def saddle_points(chain: Chain) -> Tilting:
     the gradient; a chain whose search stalls keeps its best point and shows it in `residual`.
     """
     n_boxes, d = chain.shape
-    state = np.zeros((n_boxes, 2 * (d - 1)))
+    # Inside the box, where the first Newton steps already see its sides.
+    state = np.hstack([_expected(chain)[:, : d - 1], np.zeros((n_boxes, d - 1))])
     gradient, hessian, psi = _psi(chain, state)
-    active = np.abs(gradient).max(axis=1, initial=0.0) > _TOLERANCE
+    active = np.flatnonzero(np.abs(gradient).max(axis=1, initial=0.0) > _TOLERANCE)
     for _ in range(_MAX_NEWTON):
-        if not active.any():
+        if not len(active):
             break
-        step = np.linalg.solve(hessian, gradient[..., None])[..., 0]
-        scale = np.where(active, 1.0, 0.0)
-        norm = (gradient**2).sum(axis=1)
-        for _ in range(_MAX_HALVINGS):
-            trial = state - scale[:, None] * step
-            new_gradient, new_hessian, new_psi = _psi(chain, trial)
-            worse = active & ~((new_gradient**2).sum(axis=1) < norm)
-            if not worse.any():
-                break
-            scale[worse] *= 0.4
-        moved = active & ~worse
-        state = np.where(moved[:, None], trial, state)
-        gradient = np.where(moved[:, None], new_gradient, gradient)
-        hessian = np.where(moved[:, None, None], new_hessian, hessian)
-        psi = np.where(moved, new_psi, psi)
-        active = moved & (np.abs(gradient).max(axis=1) > _TOLERANCE)
+        step = np.linalg.solve(hessian[active], gradient[active, :, None])[..., 0]
+        moved = _line_search(chain.take(active), active, step, (state, gradient, hessian, psi))
+        active = active[moved]
+        active = active[np.abs(gradient[active]).max(axis=1, initial=0.0) > _TOLERANCE]
     point, tilt = _split(state, d)
     return Tilting(tilt, point, psi, np.abs(gradient).max(axis=1, initial=0.0))
+
+
+def _expected(chain: Chain) -> FloatArray:
+    """Each link (B, d) at its expected value given the links before it."""
+    z = np.zeros(chain.shape)
+    for i in range(chain.shape[1]):
+        shift = np.einsum("bj,bj->b", chain.coupling[:, i, :i], z[:, :i])
+        z[:, i] = interval_moments(chain.lower[:, i] - shift, chain.upper[:, i] - shift).mean
+    return z
+
+
+def _line_search(
+    chain: Chain, boxes: IntArray, step: FloatArray, at: tuple[FloatArray, ...]
+) -> BoolArray:
+    """Move each of `boxes` by its step, halved until its gradient shrinks; which ones moved.
+
+    `at` holds state, gradient, Hessian and value of all boxes; those that move are updated.
+    """
+    state, gradient, _, _ = at
+    norm = (gradient[boxes] ** 2).sum(axis=1)
+    start = state[boxes]
+    scale = np.ones(len(boxes))
+    left = np.arange(len(boxes))
+    for _ in range(_MAX_HALVINGS):
+        trial = start[left] - scale[left, None] * step[left]
+        found = (trial, *_psi(chain.take(left), trial))
+        better = (found[1] ** 2).sum(axis=1) < norm[left]
+        for array, new in zip(at, found, strict=True):
+            array[boxes[left[better]]] = new[better]
+        left = left[~better]
+        if not len(left):
+            break
+        scale[left] *= 0.4
+    moved = np.ones(len(boxes), bool)
+    moved[left] = False
+    return moved
 
 
 def _split(state: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
