@@ -325,7 +325,7 @@ def _finish(directory: Path, estimate: "Estimate", output: Format) -> None:
     path = _write_report(directory)
     _print_result(runner.status(directory), output)
     typer.echo(f"{directory / 'result.json'}, {path}", err=True)
-    if estimate.stop_reason.name == "BUDGET_ENDED":
+    if estimate.stop_reason.name != "TARGET_MET":
         raise typer.Exit(BUDGET_ENDED)
 
 

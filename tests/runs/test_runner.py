@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from crashrate.errors import InvalidInputError, SimulationError, StoreError
+from crashrate.estimation import campaign
 from crashrate.estimation.campaign import Campaign
 from crashrate.runs.record import load_run
 from crashrate.runs.runner import run, status
@@ -95,8 +96,8 @@ def test_interrupted_while_thinking_gives_the_same_bits(
 
 @pytest.mark.parametrize("at", range(1, N_BATCHES + 1))
 def test_interrupted_while_replaying_gives_the_same_bits(go, uninterrupted, at):
-    def stop(campaign):
-        if campaign.n_calls == 10 * at:
+    def stop(standing):
+        if standing.n_calls == 10 * at:
             raise KeyboardInterrupt
 
     before = result_text(uninterrupted)
@@ -133,6 +134,17 @@ def test_tightened_target_goes_on(go, tmp_path, vehicle):
     tight = go(tmp_path)
     assert loose.stop_reason.name == "TARGET_MET"
     assert tight.n_calls == loose.n_calls + vehicle.n_runs - before == 60
+
+
+def test_method_that_splits_its_budget_cannot_go_on(go, tmp_path, monkeypatch):
+    def splitting(problem, steps=campaign.METHODS["small"]):
+        return steps(replace(problem, seed=problem.max_calls))
+
+    monkeypatch.setitem(campaign.METHODS, "small", splitting)
+    go(tmp_path, max_calls=20)
+    with pytest.raises(StoreError, match="aims at ± 1 % in 20 simulator runs; with the method"):
+        go(tmp_path)
+    go(tmp_path, max_calls=20)
 
 
 def test_target_and_budget_default_to_the_scenario(scenario, traffic, tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 
 from crashrate.errors import InvalidInputError, ScenarioError, StoreError
 from crashrate.estimation.campaign import Campaign
+from crashrate.estimation.strategy import Problem
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
@@ -55,7 +56,13 @@ def configuration(scenario: Scenario, traffic: TrafficModel, campaign: Campaign)
         "method": campaign.method,
         "batch_size": str(problem.batch_size),
         "versions": json.dumps(versions()),
+        "target": target_text(problem),
     }
+
+
+def target_text(problem: Problem) -> str:
+    """Target and budget: a run may go on with others, where its method allows that."""
+    return f"± {100 * problem.relative_half_width:g} % in {problem.max_calls} simulator runs"
 
 
 def require_same_run(directory: Path, stored: dict[str, str], asked: dict[str, str]) -> None:

@@ -4,6 +4,7 @@ A run is a function of (configuration, seed, outcomes), so resume is replay: the
 are told to a new campaign, which must ask for the stored situations again, bit for bit.
 """
 
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from crashrate.runs.configuration import (
     configuration,
     require_same_run,
     require_same_variables,
+    target_text,
     versions,
 )
 from crashrate.runs.result import read_result, result_dict, write_result
@@ -165,6 +167,7 @@ def _replay(sitting: _Sitting) -> int:
         if campaign.done:  # with a smaller budget, or a wider target, than was stored
             break
         sitting.tell(_recalled(sitting, k, batch, campaign.ask()))
+    sitting.store.set_config("target", target_text(campaign.problem))
     return len(batches)
 
 
@@ -181,11 +184,20 @@ def _recalled(sitting: _Sitting, k: int, batch: Batch, x: FloatArray) -> FloatAr
 
 
 def _parted(sitting: _Sitting, k: int) -> str:
-    stored = sitting.store.config().get("versions", "unknown versions")
+    """Why the campaign may have parted from its record at batch `k`, and what to do."""
+    config, campaign = sitting.store.config(), sitting.campaign
+    stored, asked = config.get("target"), target_text(campaign.problem)
+    if stored != asked:
+        return (
+            f"{sitting.directory}: holds a run that aims at {stored}; with the method "
+            f"{campaign.method!r} it cannot go on to {asked}. Ask for what it aims at, or choose "
+            "another --out."
+        )
     return (
         f"{sitting.directory}: expected the campaign to ask for the situations of batch {k} again, "
-        f"bit for bit; it asks for others. The run was begun with {stored}, these are {versions()}:"
-        " continue with the versions that began it, or choose another --out."
+        f"bit for bit; it asks for others. The run was begun with {config.get('versions')}, these "
+        f"are {json.dumps(versions())}: continue with the versions that began it, or choose "
+        "another --out."
     )
 
 

@@ -112,6 +112,11 @@ class RunStore:
             rows: list[tuple[str, str]] = connection.execute("SELECT * FROM config").fetchall()
         return dict(rows)
 
+    def set_config(self, key: str, value: str) -> None:
+        """Write one text of the configuration."""
+        with self._transaction() as connection:
+            connection.execute("INSERT OR REPLACE INTO config VALUES (?, ?)", (key, value))
+
     def batches(self, n_variables: int) -> list[Batch]:
         """The batches, in the order in which they were asked for.
 
