@@ -9,6 +9,7 @@ from scipy.stats import norm
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.huang2017 import (
     Huang2017Settings,
     Huang2017Snapshot,
@@ -56,14 +57,14 @@ def finished():
     return run(problem())
 
 
-N_SEEDS = 8
+N_SEEDS = 6
 EARLY = Huang2017Settings(n_per_iteration=60, max_iterations=3, n_per_block=4000)
 
 
 def scores(monkeypatch, rho):
     """(estimate - p) / standard error of several seeds: standard normal where all is right."""
     monkeypatch.setattr("crashrate.estimation.huang2017.recommended_rho", lambda *_: rho)
-    runs = (problem(seed=s, relative_half_width=0.06) for s in range(N_SEEDS))
+    runs = (problem(seed=s, relative_half_width=0.08) for s in range(N_SEEDS))
     last = [run(p, settings=EARLY)[0] for p in runs]
     assert {s.rho for s in last} == {rho}
     return np.array([(s.probability - P_HALF_PLANE) / s.standard_error for s in last])
@@ -149,6 +150,7 @@ def test_the_first_draws_are_ordinary_traffic():
     [
         (replace(SMALL, max_iterations=2, max_elements=1000), 2),
         (replace(SMALL, max_iterations=50, max_elements=1), 1),
+        (replace(SMALL, max_iterations=50, max_elements=1000, max_corners=2), 1),
         (replace(SMALL, max_iterations=50, max_elements=1000, learning_share=0.001), 1),
     ],
 )
@@ -246,6 +248,19 @@ def test_curved_risk_coordinates_work_and_bounds_come_from_draws():
     assert last.probability == pytest.approx(p, rel=0.35)
     assert last.bounds[0] < p < last.bounds[1]
     assert last.bounds[1] < 3 * p
+
+
+def test_a_campaign_runs_it():
+    campaign = Campaign(
+        problem().traffic, risk=UP, method="huang2017", relative_half_width=0.3, seed=1
+    )
+    while not campaign.done:
+        campaign.tell(half_plane(campaign.ask()))
+    result = campaign.estimate()
+    assert result.method == "huang2017"
+    assert result.interval[0] < P_HALF_PLANE < result.interval[1]
+    assert result.bounds[0] < P_HALF_PLANE < result.bounds[1]
+    assert isinstance(campaign.snapshot, Huang2017Snapshot)
 
 
 def test_an_order_is_needed():
