@@ -34,7 +34,7 @@ def test_labels_are_plain_text():
 def test_a_div_holds_no_plotly_and_its_own_key():
     import plotly.graph_objects as go
 
-    text = to_div(go.Figure(), "plot-1", buttons=False)
+    text = to_div(go.Figure(), "plot-1")
     assert 'id="plot-1"' in text
     assert "cdn" not in text
     assert len(text) < 10_000

@@ -102,7 +102,13 @@ def plane_plot(learned: Learned, dominating: DominatingPoints) -> Plot:
     """The learned set in two risk coordinates, with its fronts, corners and dominating points."""
     marks = [_trace(learned, p, (0, 1)) for p in point_sets(learned, dominating)]
     return section_plot(
-        learned, 0, 1, marks, height=560, showlegend=True, margin={"l": 64, "r": 18, "t": 60}
+        learned,
+        0,
+        1,
+        marks,
+        height=560,
+        showlegend=True,
+        margin={"l": 64, "r": 18, "t": 60, "b": 48},
     )
 
 

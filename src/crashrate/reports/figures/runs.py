@@ -39,14 +39,16 @@ def runs_plots(record: RunRecord) -> tuple[Plot, ...]:
 def line_plot(learned: Learned) -> Plot:
     """The runs over the one risk coordinate, with what is implied as bands."""
     plot = _over_number(learned.physical(learned.u)[:, 0], learned.outcomes, learned.axes[0])
-    plot.figure.update_layout(shapes=_bands(learned.monotone, learned.signs[0]))
+    plot.figure.update_layout(
+        shapes=_bands(learned.monotone, learned.signs[0], plot.figure.layout.xaxis.range)
+    )
     return plot
 
 
-def _bands(s: MonotoneSet, sign: float) -> list[dict[str, Any]]:
+def _bands(s: MonotoneSet, sign: float, view: tuple[float, float]) -> list[dict[str, Any]]:
     half_lines = (
-        (s.minimal_crashes[:, 0], CRASH_FILL, np.inf),
-        (s.maximal_safe[:, 0], SAFE_FILL, -np.inf),
+        (s.minimal_crashes[:, 0], CRASH_FILL, view[1 if sign > 0 else 0]),
+        (s.maximal_safe[:, 0], SAFE_FILL, view[0 if sign > 0 else 1]),
     )
     return [
         {
@@ -56,7 +58,7 @@ def _bands(s: MonotoneSet, sign: float) -> list[dict[str, Any]]:
             "y0": 0,
             "y1": 1,
             "x0": sign * ends[0],
-            "x1": float(np.clip(sign * far, -1e300, 1e300)),  # JSON has no infinity
+            "x1": far,
             "fillcolor": fill,
             "line": {"width": 0},
         }

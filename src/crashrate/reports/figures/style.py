@@ -135,7 +135,7 @@ def padded(low: float, high: float, share: float = 0.06) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def to_div(plot: go.Figure, key: str, *, buttons: bool = True) -> str:
+def to_div(plot: go.Figure, key: str) -> str:
     """The HTML of a figure; the page holds plotly.js once, elsewhere.
 
     Parameters
@@ -143,10 +143,9 @@ def to_div(plot: go.Figure, key: str, *, buttons: bool = True) -> str:
     plot : Figure
     key : str
         Identifier in the page.
-    buttons : bool
-        Whether plotly's buttons are there; on small plots they would hide the figure.
     """
-    config = _CONFIG if buttons else _CONFIG | {"displayModeBar": False}
+    # on a flat figure plotly's buttons would lie on the legend, and double click resets the view
+    config = _CONFIG | {"displayModeBar": any(t.type.endswith("3d") for t in plot.data)}
     return str(
         plotly.io.to_html(plot, full_html=False, include_plotlyjs=False, div_id=key, config=config)
     )
