@@ -139,7 +139,7 @@ def _plain_errors(*, debug: bool) -> Iterator[None]:
     except (typer.Exit, typer.BadParameter, BrokenPipeError):
         raise
     except KeyboardInterrupt:
-        typer.echo("Interrupted: the same command goes on from what is stored.", err=True)
+        typer.echo("Interrupted. A run goes on where it stopped: give the same command.", err=True)
         raise typer.Exit(INTERRUPTED) from None
     except Exception as error:
         if debug:

@@ -291,6 +291,23 @@ def test_record_is_what_was_run(scenario, traffic, uninterrupted):
     assert record.result["n_crashes"] == record.outcomes.sum()
 
 
+def test_configuration_that_lost_a_part_is_refused(uninterrupted):
+    with sqlite3.connect(uninterrupted / "campaign.sqlite") as store:
+        store.execute("DELETE FROM config WHERE key = 'traffic'")
+    store.close()
+    with pytest.raises(StoreError, match="expected traffic in the configuration"):
+        load_run(uninterrupted)
+
+
+def test_folder_that_cannot_be_written_is_still_read(uninterrupted):
+    for path in (*uninterrupted.iterdir(), uninterrupted):
+        path.chmod(path.stat().st_mode & ~0o222)
+    try:
+        assert len(load_run(uninterrupted).x) == 60
+    finally:
+        uninterrupted.chmod(0o755)
+
+
 def test_more_results_than_stored_is_refused(uninterrupted):
     result = json.loads(result_text(uninterrupted)) | {"n_calls": 61}
     (uninterrupted / "result.json").write_text(json.dumps(result))

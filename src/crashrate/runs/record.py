@@ -52,7 +52,7 @@ def load_run(directory: str | Path) -> RunRecord:
     """
     directory = Path(directory)
     with RunStore.open(directory) as store:
-        config = store.config()
+        config = _require(directory, store.config(), ("scenario", "scenario_name", "traffic"))
         scenario = Scenario.from_text(config["scenario"], config["scenario_name"])
         batches = store.batches(len(scenario.variables))
     result = read_result(directory)
@@ -66,6 +66,16 @@ def load_run(directory: str | Path) -> RunRecord:
         result=result,
         synthetic=bool(result["synthetic"]),
     )
+
+
+def _require(directory: Path, config: dict[str, str], keys: tuple[str, ...]) -> dict[str, str]:
+    missing = [key for key in keys if key not in config]
+    if missing:
+        raise StoreError(
+            f"{directory}: damaged: expected {', '.join(missing)} in the configuration, found "
+            "none; restore the folder from a copy."
+        )
+    return config
 
 
 def _rows(

@@ -23,6 +23,7 @@ CREATE TABLE batches (
     outcomes BLOB NOT NULL
 );
 """
+READING = "DEFERRED"  # a transaction that only reads: also of a folder that cannot be written
 FLOAT = np.dtype("<f8")  # little-endian on every machine
 
 
@@ -108,7 +109,7 @@ class RunStore:
 
     def config(self) -> dict[str, str]:
         """The configuration, key to text."""
-        with self._transaction() as connection:
+        with self._transaction(READING) as connection:
             rows: list[tuple[str, str]] = connection.execute("SELECT * FROM config").fetchall()
         return dict(rows)
 
@@ -126,7 +127,7 @@ class RunStore:
             If one is missing or its size is not what it says.
         """
         query = "SELECT k, n, x, outcomes FROM batches ORDER BY k"
-        with self._transaction() as connection:
+        with self._transaction(READING) as connection:
             rows = connection.execute(query).fetchall()
         numbers = [row[0] for row in rows]
         if numbers != list(range(len(rows))):
@@ -162,9 +163,9 @@ class RunStore:
         self.close()
 
     @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
+    def _transaction(self, kind: str = "IMMEDIATE") -> Iterator[sqlite3.Connection]:
         try:
-            self._connection.execute("BEGIN IMMEDIATE")
+            self._connection.execute(f"BEGIN {kind}")
             with self._connection:  # commits, or rolls back on any error
                 yield self._connection
         except sqlite3.IntegrityError as error:

@@ -1,0 +1,335 @@
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from crashrate import datasets
+from crashrate.cli import app
+from crashrate.estimation import campaign
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.strategy import Query, Snapshot
+from crashrate.runs import demo
+from crashrate.runs.scenario import Scenario
+from crashrate.traffic.model import TrafficModel
+
+ROOT = Path(__file__).resolve().parents[1]
+HUANG = ROOT / "examples" / "huang2017.toml"
+COMMANDS = ("fit", "run", "status", "report", "demo")
+SCENARIO = """
+[variables.a]
+lower = 0
+[variables.b]
+[simulator]
+kind = "python"
+function = "{module}:crashes"
+[target]
+max_calls = 4
+"""
+
+
+def crashrate(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def error_line(result):
+    """The one line of a refused command: no traceback, nothing on standard output."""
+    assert result.stdout == ""
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("Error: ")
+    return lines[0]
+
+
+def three_batches(problem):
+    """A stand-in for a method: three batches, then what it was told to find."""
+    found = Snapshot(
+        probability=0.25,
+        interval=(0.2, 0.3),
+        alarms=(Alarm.WEIGHTS_CONCENTRATED,),
+        stop_reason=StopReason.TARGET_MET if problem.max_calls > 12 else StopReason.BUDGET_ENDED,
+    )
+    for k in range(3):
+        yield Query(problem.traffic.sample(4, problem.rng(k)), Snapshot())
+    return found
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setitem(campaign.METHODS, "sequential", three_batches)
+
+
+@pytest.fixture
+def small(tmp_path):
+    """A scenario with a vehicle of its own beside it, and a traffic model."""
+    module = f"vehicle_{abs(hash(tmp_path))}"
+    (tmp_path / f"{module}.py").write_text("def crashes(x):\n    return x[:, 0] > 1\n")
+    (tmp_path / "small.toml").write_text(SCENARIO.format(module=module))
+    TrafficModel(
+        [1.0], [[0.5, 0.0]], [np.eye(2)], [0.0, -np.inf], [np.inf] * 2, ("a", "b")
+    ).to_json(tmp_path / "traffic.json")
+    return tmp_path
+
+
+def small_run(small, *more):
+    out = small / "run"
+    return crashrate(
+        "run", small / "small.toml", "--traffic", small / "traffic.json", "--out", out, *more
+    )
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_has_examples(command):
+    shown = crashrate(command, "--help")
+    assert shown.exit_code == 0
+    assert f"    crashrate {command}" in shown.stdout.split("Example")[1]
+
+
+def test_version_and_help():
+    assert crashrate("--version").stdout.startswith("crashrate 0.")
+    assert all(command in crashrate("--help").stdout for command in COMMANDS)
+
+
+def test_command_line_starts_without_heavy_imports():
+    code = (
+        "import sys, crashrate.cli\n"
+        "print([m for m in ('scipy', 'sklearn', 'plotly', 'pyarrow', 'jinja2', 'numpy') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(json.loads(done.stdout.replace("'", '"'))) <= {"numpy"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fly"],
+        ["run"],
+        ["run", HUANG, "--traffic", "published"],
+        ["run", HUANG, "--traffic", "published", "--out", "x", "--method", "magic"],
+        ["run", HUANG, "--traffic", "published", "--out", "x", "--max-calls", "0"],
+        ["run", HUANG, "--traffic", "published", "--out", "x", "--relative-half-width", "0"],
+        ["run", HUANG, "--traffic", "published", "--out", "x", "--seed", "-1"],
+        ["run", HUANG, "--traffic", "published", "--out", "x", "--format", "xml"],
+        ["fit", "x.csv", "--scenario", HUANG, "--out", "t.json", "--components", "3:1"],
+        ["fit", "x.csv", "--scenario", HUANG, "--out", "no/such/folder/t.json"],
+        ["demo", "--seed", "one"],
+        ["status"],
+    ],
+)
+def test_wrong_usage_leaves_with_2(arguments):
+    refused = crashrate(*arguments)
+    assert refused.exit_code == 2
+    assert "Error: " in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_missing_and_wrong_files_leave_with_1(tmp_path):
+    out = tmp_path / "out"
+    refused = crashrate("run", tmp_path / "no.toml", "--traffic", "published", "--out", out)
+    assert refused.exit_code == 1
+    assert "no.toml: expected a scenario file" in error_line(refused)
+    refused = crashrate("run", HUANG, "--traffic", tmp_path / "no.json", "--out", out)
+    assert refused.exit_code == 1
+    assert "no.json" in error_line(refused)
+    refused = crashrate("status", tmp_path)
+    assert refused.exit_code == 1
+    assert "expected a run folder" in error_line(refused)
+    assert not out.exists()
+
+
+def test_published_traffic_of_other_variables_is_refused(small):
+    refused = crashrate(
+        "run", small / "small.toml", "--traffic", "published", "--out", small / "run"
+    )
+    assert refused.exit_code == 1
+    assert "(a, b), got (v_lead, inv_range, inv_ttc); fit one" in error_line(refused)
+
+
+def test_debug_shows_the_traceback(tmp_path):
+    shown = crashrate("--debug", "status", tmp_path)
+    assert type(shown.exception).__name__ == "StoreError"
+
+
+def test_bug_is_one_line_that_asks_for_a_report(small, quick, monkeypatch):
+    del quick
+    monkeypatch.setattr(Scenario, "simulator", lambda _: lambda _: 1 / 0)
+    refused = small_run(small)
+    assert refused.exit_code == 1
+    assert "unexpected ZeroDivisionError: division by zero. Please report" in error_line(refused)
+
+
+def test_target_met_leaves_with_0_and_the_sentence(small, quick):
+    del quick
+    done = small_run(small, "--max-calls", "20")
+    assert done.exit_code == 0
+    assert done.stdout.startswith("P(crash) = 2.5e-01 per lane change, 95 % interval [2.0e-01, ")
+    assert len(done.stdout.splitlines()) == 1
+    assert f"Alarm: {Alarm.WEIGHTS_CONCENTRATED}." in done.stderr
+    assert "Stopped: the target was met." in done.stderr
+    assert "ynthetic" not in done.output
+    page = (small / "run" / "report.html").read_text()
+    assert "per lane change, 95 % interval" in page
+
+
+def test_budget_ended_leaves_with_3(small, quick):
+    del quick
+    done = small_run(small)
+    assert done.exit_code == 3
+    assert "Stopped: the budget of simulator runs ended." in done.stderr
+    assert f"Alarm: {Alarm.TARGET_NOT_REACHED}." in done.stderr
+
+
+def test_json_is_pure_and_the_same_everywhere(small, quick):
+    del quick
+    done = json.loads(small_run(small, "--format", "json").stdout)
+    stored = json.loads((small / "run" / "result.json").read_text())
+    shown = json.loads(crashrate("status", small / "run", "--format", "json").stdout)
+    assert done == stored == shown
+    assert done["schema"] == "crashrate.result/1"
+    assert done["alarms"][0]["name"] == "WEIGHTS_CONCENTRATED"
+
+
+def test_status_and_report_read_what_is_there(small, quick):
+    del quick
+    sentence = small_run(small).stdout
+    (small / "run" / "report.html").unlink()
+    assert crashrate("status", small / "run").stdout == sentence
+    written = crashrate("report", small / "run")
+    assert Path(written.stdout.strip()) == small / "run" / "report.html"
+    assert (small / "run" / "report.html").is_file()
+
+
+def test_other_configuration_is_refused(small, quick):
+    del quick
+    assert small_run(small).exit_code == 3
+    refused = small_run(small, "--seed", "1")
+    assert refused.exit_code == 1
+    assert 'seed: has "0", asked for "1"' in error_line(refused)
+
+
+@pytest.mark.parametrize("signal", ["SIGINT", "SIGKILL"])
+def test_stopped_by_a_signal_and_resumed_gives_the_same_bits(small, signal):
+    """A real process, with the real method: the vehicle itself sends the signal, once."""
+    (module,) = small.glob("vehicle_*.py")
+    module.write_text(
+        "import os, pathlib, signal\n"
+        "def crashes(x):\n"
+        f"    once = pathlib.Path({str(small / 'once')!r})\n"
+        "    if once.exists() and once.read_text().count('x') == 2:\n"
+        "        once.unlink()\n"
+        f"        os.kill(os.getpid(), signal.{signal})\n"
+        "    if once.exists():\n"
+        "        once.write_text(once.read_text() + 'x')\n"
+        "    return x[:, 0] > 1\n"
+    )
+
+    def go(out):
+        command = ["run", "small.toml", "--traffic", "traffic.json", "--out", out]
+        return subprocess.run(
+            [sys.executable, "-m", "crashrate.cli", *command],
+            cwd=small,
+            capture_output=True,
+            text=True,
+            check=False,
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        )
+
+    assert go("whole").returncode == 3
+    (small / "once").write_text("")
+    stopped = go("cut")
+    assert stopped.returncode == (130 if signal == "SIGINT" else -9)
+    assert "Traceback" not in stopped.stderr
+    resumed = go("cut")
+    assert resumed.returncode == 3
+    texts = [(small / out / "result.json").read_text() for out in ("whole", "cut")]
+    assert texts[0] == texts[1]
+
+
+# --- fit
+
+
+@pytest.fixture
+def events(tmp_path):
+    x = datasets.spmd_mixture().sample(400, 1)
+    x[:3, 2] *= -1  # not closing
+    path = tmp_path / "events.csv"
+    np.savetxt(path, x, delimiter=",", header="v_lead,inv_range,inv_ttc", comments="")
+    return path
+
+
+def test_fit_prints_what_was_dropped_and_the_criterion(events, tmp_path):
+    out = tmp_path / "traffic.json"
+    done = crashrate("fit", events, "--scenario", HUANG, "--components", "1:2", "--out", out)
+    assert done.exit_code == 0
+    assert "397 events of 400 rows; dropped: 3 not closing" in done.stdout
+    assert done.stdout.count("lowest") == 1
+    model = TrafficModel.from_json(out)
+    assert model.provenance["events"]["dropped"] == {"not closing": 3}
+    assert model.provenance["events"]["synthetic"] is False
+    assert model.provenance["selection"]["n_components"] == [1, 2]
+    assert model.names == ("v_lead", "inv_range", "inv_ttc")
+
+
+def test_fit_of_the_recommended_cut_in_reads_the_same_file(events, tmp_path):
+    out, scenario = tmp_path / "traffic.json", ROOT / "examples" / "cut_in.toml"
+    done = crashrate("fit", events, "--scenario", scenario, "--components", "1", "--out", out)
+    assert done.exit_code == 0
+    assert "BIC" not in done.stdout
+    assert TrafficModel.from_json(out).names == ("v_lead", "inv_range", "closing_speed")
+
+
+def test_fit_refuses_bad_rows_unless_told_to_drop_them(events, tmp_path):
+    with events.open("a") as file:
+        file.write("99,0.02,0.1\n")
+    command = ["fit", events, "--scenario", HUANG, "--components", "1", "--out", tmp_path / "t"]
+    refused = crashrate(*command)
+    assert refused.exit_code == 1
+    line = error_line(refused)
+    assert str(events) in line
+    assert "99.0" in line
+    assert "1 with v_lead out of bounds" in crashrate(*command, "--drop-invalid").stdout
+
+
+# --- demo
+
+
+@pytest.fixture
+def short_demo(monkeypatch, quick):
+    del quick
+    table = demo.demo_events(0)
+    short = replace(table, values=table.values[:600], rows=table.rows[:600])
+    monkeypatch.setattr(demo, "demo_events", lambda _: short)
+    monkeypatch.setattr(demo, "N_COMPONENTS", 2)
+
+
+def test_demo_says_synthetic_wherever_its_events_appear(short_demo, tmp_path):
+    del short_demo
+    done = crashrate("demo", "--seed", "2", "--out", tmp_path / "demo")
+    assert done.exit_code == 0
+    assert done.stdout.startswith("P(crash) = ")
+    assert len(done.stdout.splitlines()) == 1
+    assert "synthetic events" in done.stderr
+    result = json.loads((tmp_path / "demo" / "result.json").read_text())
+    assert result["synthetic"] is True
+    assert "synthetic" in result["traffic"]["events"]["source"]
+    assert result["seed"] == 2
+    assert "synthetic" in (tmp_path / "demo" / "report.html").read_text()
+
+
+def test_demo_again_gives_the_same_answer_from_the_store(short_demo, tmp_path):
+    del short_demo
+    first, again = (crashrate("demo", "--out", tmp_path / "demo") for _ in range(2))
+    assert first.stdout == again.stdout
+
+
+def test_demo_folder_is_named_after_its_seed(short_demo, tmp_path, monkeypatch):
+    del short_demo
+    monkeypatch.chdir(tmp_path)
+    crashrate("demo", "--seed", "5")
+    assert (tmp_path / "runs" / "demo-5" / "result.json").is_file()
