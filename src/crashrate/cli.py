@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from crashrate.estimation.campaign import Campaign
     from crashrate.estimation.estimate import Estimate
 
-TARGET_MET, ERROR, BUDGET_ENDED, INTERRUPTED = 0, 1, 3, 130
+ERROR, TARGET_NOT_MET, INTERRUPTED = 1, 3, 130
 SECONDS_BETWEEN_LINES = 5.0
 REPORT = "report.html"
 
@@ -252,10 +252,7 @@ def run(
     _finish(out, estimate, output)
 
 
-@_command(
-    "crashrate status runs/cut_in",
-    "crashrate status runs/cut_in --format json",
-)
+@_command("crashrate status runs/cut_in", "crashrate status runs/cut_in --format json")
 def status(ctx: typer.Context, directory: RunFolder, output: OutputFormat = Format.TEXT) -> None:
     """Show how a run stands, or what it found."""
     del ctx
@@ -264,19 +261,14 @@ def status(ctx: typer.Context, directory: RunFolder, output: OutputFormat = Form
     _print_result(runner.status(directory), output)
 
 
-@_command(
-    "crashrate report runs/cut_in",
-)
+@_command("crashrate report runs/cut_in")
 def report(ctx: typer.Context, directory: RunFolder) -> None:
     """Write the report of a run again, and print where it is."""
     del ctx
     typer.echo(_write_report(directory))
 
 
-@_command(
-    "crashrate demo",
-    "crashrate demo --seed 7 --out runs/demo",
-)
+@_command("crashrate demo", "crashrate demo --seed 7 --out runs/demo")
 def demo(
     ctx: typer.Context,
     seed: Seed = 0,
@@ -326,7 +318,7 @@ def _finish(directory: Path, estimate: "Estimate", output: Format) -> None:
     _print_result(runner.status(directory), output)
     typer.echo(f"{directory / 'result.json'}, {path}", err=True)
     if estimate.stop_reason.name != "TARGET_MET":
-        raise typer.Exit(BUDGET_ENDED)
+        raise typer.Exit(TARGET_NOT_MET)
 
 
 def _write_report(directory: Path) -> Path:

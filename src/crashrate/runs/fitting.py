@@ -1,6 +1,7 @@
 """From events to a traffic model that remembers where it comes from."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,15 +107,7 @@ def fit_traffic(
         )
     model = selection.traffic_model(scenario.names)
     provenance = {**model.provenance, "events": _origin(events, synthetic, seed)}
-    return TrafficModel(
-        model.weights,
-        model.means,
-        model.covariances,
-        model.lower,
-        model.upper,
-        model.names,
-        provenance,
-    )
+    return replace(model, provenance=provenance)
 
 
 def _origin(events: EventTable, synthetic: bool, seed: int) -> dict[str, Any]:
