@@ -3,6 +3,7 @@ import math
 
 import pytest
 
+from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm
 from crashrate.reports.axes import units_of
 from crashrate.reports.evidence import evidence
@@ -110,3 +111,19 @@ def test_the_evidence_says_where_the_events_came_from(build, estimate):
     assert facts["Traffic model"].value.endswith(
         "fitted to 1,000 recorded events (events.csv); left out: 12 (not closing)"
     )
+
+
+def test_bounds_are_not_called_certain_where_the_order_is_contradicted(build, estimate):
+    e = estimate(alarms=(Alarm.ORDER_CONTRADICTED,))
+    for value, said in ((e, True), (estimate(), False)):
+        facts = {f.name: f for f in evidence(build(estimate=value), value)}
+        assert ("here some outcomes contradict it" in facts["Bounds"].meaning) == said
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"alarms": [{"name": "FROM_THE_FUTURE"}]}, {"stop_reason": "tired"}, {"interval": 3}],
+)
+def test_a_result_of_another_version_is_refused(estimate, change):
+    with pytest.raises(StoreError, match="expected what this version of crashrate writes"):
+        estimate_of(estimate().to_dict() | change)

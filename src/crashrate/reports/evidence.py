@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.estimate import Estimate, in_words
 from crashrate.reports.numbers import (
     MISSING,
@@ -54,11 +55,15 @@ def _answer(e: Estimate) -> tuple[Fact, ...]:
         Fact(
             "Bounds",
             f"{low} ≤ p ≤ {high}" if has_bounds else "none",
-            "P(inner) ≤ p ≤ P(outer), with certainty if the risk order holds."
-            if has_bounds
-            else "Nothing is implied about situations that were not simulated.",
+            _bounds_meaning(e) if has_bounds else "Nothing is implied about other situations.",
         ),
     )
+
+
+def _bounds_meaning(e: Estimate) -> str:
+    text = "P(inner) ≤ p ≤ P(outer), with certainty if the risk order holds"
+    contradicted = Alarm.ORDER_CONTRADICTED in e.alarms
+    return text + ("; here some outcomes contradict it." if contradicted else ".")
 
 
 def _runs(e: Estimate) -> tuple[Fact, ...]:

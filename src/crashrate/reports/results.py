@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.reports.numbers import is_number, number
@@ -16,7 +17,22 @@ def estimate_of(result: Mapping[str, Any]) -> Estimate:
     ----------
     result : mapping
         As in result.json.
+
+    Raises
+    ------
+    StoreError
+        If something is missing, or is not known to this version.
     """
+    try:
+        return _estimate(result)
+    except (KeyError, TypeError, ValueError) as error:
+        raise StoreError(
+            f"result.json: expected what this version of crashrate writes, got {error!r}; write it "
+            "again with 'crashrate run' and the same arguments (no simulator run is repeated)."
+        ) from error
+
+
+def _estimate(result: Mapping[str, Any]) -> Estimate:
     return Estimate(
         probability=number(result, "probability"),
         confidence=number(result, "confidence"),

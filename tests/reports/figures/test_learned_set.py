@@ -155,3 +155,13 @@ def test_contradictions_are_counted(build):
     text = learned_panels(record)[0].caption
     assert "outcomes contradict the order" in text
     assert "No outcome contradicts" in learned_panels(build())[0].caption
+
+
+def test_very_many_corners_are_thinned_and_the_legend_says_so(build, problem):
+    risk = {f"x{k}": "increasing" for k in range(5)}
+    record = build(problem(5, risk), danger=lambda x: x.sum(axis=1) - 2, n=300)
+    learned = learned_set(record)
+    n = len(learned.monotone.corners)
+    assert n > 2000
+    found = traces(space_plot(learned, DominatingPoints()))
+    assert f"corner of the outer set (2,000 of {n:,})" in found

@@ -1,7 +1,7 @@
 """The learned set in three dimensions, turnable, in physical risk coordinates."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from crashrate.reports.panel import Plot
 from crashrate.variables import FloatArray
 
 _GRID_SIZE = 56
+_MAX_POINTS = 2000  # of corners, whose number grows with a power of the dimension
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,21 @@ def point_sets(learned: Learned, dominating: DominatingPoints) -> tuple[PointSet
     sets = (
         PointSet("minimal crash", s.minimal_crashes, CRASH, "diamond", 6),
         PointSet("maximal safe point", s.maximal_safe, SAFE, "square", 5),
-        PointSet("corner of the outer set", corners, MUTED, "square-open", 5),
+        _thinned(PointSet("corner of the outer set", corners, MUTED, "square-open", 5)),
         _dominating_set(learned, "dominating point, inner set", "diamond-open", dominating.inner),
         _dominating_set(learned, "dominating point, outer set", "circle-open", dominating.outer),
     )
     return tuple(p for p in sets if len(p.u))
+
+
+def _thinned(points: PointSet) -> PointSet:
+    """At most so many points as a page can hold, and a name that says so."""
+    n = len(points.u)
+    if n <= _MAX_POINTS:
+        return points
+    kept = np.linspace(0, n - 1, _MAX_POINTS).astype(int)
+    name = f"{points.name} ({_MAX_POINTS:,} of {n:,})"
+    return replace(points, name=name, u=points.u[kept])
 
 
 def _dominating_set(
