@@ -5,6 +5,7 @@ from scipy.stats import norm
 from crashrate.crash_set.bounds import orthants_probability, probability_bounds
 from crashrate.crash_set.monotone_set import MonotoneSet
 from crashrate.crash_set.order import RiskOrder
+from crashrate.errors import NumericalError
 from crashrate.expressions import Expression
 from crashrate.traffic.model import TrafficModel
 
@@ -113,3 +114,15 @@ def test_unknown_level_sets_have_no_exact_bounds(traffic):
     )
     learned = MonotoneSet.empty(2).add([22.0, 3.0], True)
     assert probability_bounds(learned, two, traffic) is None
+
+
+def test_a_slope_too_steep_for_the_box_probabilities_has_no_exact_bounds(
+    traffic, oblique, monkeypatch
+):
+    def unsettled(*_):
+        raise NumericalError("box probability: had not settled")
+
+    learned = MonotoneSet.empty(3).add([-22.0, 3.0, -25.0], True)
+    assert probability_bounds(learned, oblique, traffic) is not None
+    monkeypatch.setattr("crashrate.crash_set.bounds.log_box_probability", unsettled)
+    assert probability_bounds(learned, oblique, traffic) is None

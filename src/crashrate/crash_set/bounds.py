@@ -13,6 +13,7 @@ import numpy as np
 from crashrate.crash_set.boxes import Boxes, boxes_above
 from crashrate.crash_set.monotone_set import MonotoneSet
 from crashrate.crash_set.order import RiskOrder
+from crashrate.errors import NumericalError
 from crashrate.expressions import HalfSpace
 from crashrate.traffic.model import TrafficModel
 from crashrate.traffic.truncated_normal import log_box_probability
@@ -37,7 +38,8 @@ def probability_bounds(
     Returns
     -------
     (float, float) or None
-        None where the risk coordinates have level sets of another kind.
+        None where the risk coordinates have level sets of another kind, or a slope is too steep
+        for the box probabilities.
     """
     inner = orthants_probability(learned.minimal_crashes, order, traffic)
     outer = orthants_probability(learned.corners, order, traffic)
@@ -140,8 +142,12 @@ def _oblique_probability(
     if not turned:
         return total
     means, covariances, lower, upper = (np.concatenate(part) for part in zip(*turned, strict=True))
-    log_p = log_box_probability(means, covariances, lower, upper).reshape(-1, traffic.n_components)
-    return total + float((np.exp(log_p - traffic.log_masses) @ traffic.weights).sum())
+    try:
+        log_p = log_box_probability(means, covariances, lower, upper)
+    except NumericalError:  # a slope so steep that two variables of the turned box are nearly one
+        return None
+    parts = np.exp(log_p.reshape(-1, traffic.n_components) - traffic.log_masses)
+    return total + float((parts @ traffic.weights).sum())
 
 
 def _replaceable(
