@@ -53,8 +53,8 @@ class Prior:
         """Prior covariance between `u` (n, m) and `v` (k, m), shape (n, k)."""
         product = u @ v.T
         squares = (u**2).sum(axis=1)[:, None] + (v**2).sum(axis=1) - 2 * product
-        smooth = np.exp(np.minimum(squares, np.inf) / (-2 * self.length**2))
-        np.minimum(smooth, 1.0, out=smooth)  # rounding may leave -1e-16 in a squared distance
+        # rounding may leave -1e-16 in a squared distance
+        smooth = np.exp(np.maximum(squares, 0.0) / (-2 * self.length**2))
         return self.variance * (self.linear * (1 + product) + self.bump * smooth)
 
     def variances(self, u: FloatArray) -> FloatArray:
@@ -68,6 +68,23 @@ class Sites:
 
     tau: FloatArray
     nu: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a surrogate holds about n points.
+
+    Parameters
+    ----------
+    probability : ndarray, shape (n,)
+        P(crash | labels).
+    danger : ndarray, shape (n,)
+        Posterior mean of the latent danger over s: about the distance from the crash set's edge in
+        standardised coordinates, positive inside.
+    """
+
+    probability: FloatArray
+    danger: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,17 +112,19 @@ class Surrogate:
     root: np.ndarray
     coefficients: FloatArray
 
-    def probability(self, u: FloatArray, block: int = 4096) -> FloatArray:
-        """P(crash | labels) at `u` (n, m), shape (n,)."""
-        parts = [self._probability(u[i : i + block]) for i in range(0, len(u), block)]
-        return np.concatenate([np.empty(0), *parts])
+    def predict(self, u: FloatArray, block: int = 4096) -> Prediction:
+        """What is held about the points `u` (n, m)."""
+        parts = [self._predict(u[i : i + block]) for i in range(0, len(u), block)]
+        probability, danger = np.concatenate([np.empty((2, 0)), *parts], axis=1)
+        return Prediction(probability, danger)
 
-    def _probability(self, u: FloatArray) -> FloatArray:
+    def _predict(self, u: FloatArray) -> FloatArray:
         k = self.prior.covariance(u, self.u)
         explained = k.astype(np.float32) @ self.root.T
         variance = self.prior.variances(u) - np.einsum("ij,ij->i", explained, explained)
         mean = self.prior.mean(u) + k @ self.coefficients
-        return ndtr(mean / np.sqrt(1 + np.maximum(variance, MIN_VARIANCE)))
+        probability = ndtr(mean / np.sqrt(1 + np.maximum(variance, MIN_VARIANCE)))
+        return np.stack([probability, mean / math.sqrt(self.prior.variance)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from crashrate.estimation.selection import Drawn
-from crashrate.estimation.view import View
+from crashrate.estimation.view import View, normalised
 from crashrate.variables import FloatArray
 
 PRIOR_ROUNDS = 4  # the Birge ratio is shrunk to 1 with the weight of this many rounds
@@ -31,8 +31,10 @@ class Round:
     estimate : float
     lowest, highest : float
         The estimate with every failed simulation safe, and with every one a crash.
+    predicted : float
+        The surrogate's sum P0, before the outcomes were known.
     variance : float
-        Predicted before the outcomes were known.
+        Of `estimate`, predicted likewise.
     largest : float
         Largest contribution of a single run.
     """
@@ -41,6 +43,7 @@ class Round:
     estimate: float
     lowest: float
     highest: float
+    predicted: float
     variance: float
     largest: float
 
@@ -56,7 +59,15 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     estimate = view.probability + float(moved.sum())
     variance = predicted_variance(view, drawn.probabilities, n) + view.pool_variance
     largest = float(np.abs(moved).max())
-    return Round(len(np.unique(rows)), estimate, estimate + down, estimate + up, variance, largest)
+    return Round(
+        n_runs=len(np.unique(rows)),
+        estimate=estimate,
+        lowest=estimate + down,
+        highest=estimate + up,
+        predicted=view.probability,
+        variance=variance,
+        largest=largest,
+    )
 
 
 def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
@@ -90,21 +101,23 @@ class Combined:
 
 
 def combine(rounds: Sequence[Round], confidence: float) -> Combined:
-    """Rounds weighted by the inverse of their predicted variance.
+    """Rounds weighted by the inverse square of their predicted coefficient of variation.
+
+    (Not of the variance: a pool that happens to hold too little crash mass predicts a smaller
+    variance and a lower estimate at once, and weights that prefer it bias the mean downwards.)
 
     The interval is Student's, with the predicted variances inflated by the Birge ratio (Birge 1932)
     of scatter seen to scatter predicted, shrunk towards and never below 1: predictions alone are
     over-confident where the surrogate is, and the few rounds' own scatter alone under-covers.
     """
-    weights = np.array([1 / r.variance for r in rounds])
-    weights_sum = float(weights.sum())
-    share = weights / weights_sum
+    variance = np.array([r.variance for r in rounds])
+    share = normalised(np.array([r.predicted**2 for r in rounds]) / variance)
     estimates = np.array([r.estimate for r in rounds])
     center = float(share @ estimates)
-    squares = weights * (estimates - center) ** 2
+    squares = (estimates - center) ** 2 / variance
     freedom = PRIOR_ROUNDS + len(rounds) - 1
     birge = max(1.0, (PRIOR_ROUNDS + float(squares.sum())) / freedom)
-    error = math.sqrt(birge / weights_sum)
+    error = math.sqrt(birge * float(share**2 @ variance))
     half_width = float(stdtrit(freedom, 0.5 + confidence / 2)) * error
     lowest = float(share @ np.array([r.lowest for r in rounds]))
     highest = float(share @ np.array([r.highest for r in rounds]))

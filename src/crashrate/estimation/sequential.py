@@ -15,7 +15,7 @@ from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.crude import crude
-from crashrate.estimation.exploration import Explored, ask, explore, inflated
+from crashrate.estimation.exploration import Explored, explore, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
