@@ -153,6 +153,7 @@ def test_no_crash_found(build, estimate):
     )
     page = Page(render_report(build(estimate=found, danger=lambda x: -np.ones(len(x)))))
     assert "is not determined" in page.text
+    assert "Probabilitynot determined" in page.text
     assert "No simulator run ended in a crash." in page.text
     assert "No batch of this run gave an estimate yet." in page.text
     assert not re.search(r"\b(nan|None|inf)\b", page.text)

@@ -45,7 +45,11 @@ def _answer(e: Estimate) -> tuple[Fact, ...]:
     has_bounds = e.bounds != (0.0, 1.0) and all(map(is_number, e.bounds))
     low, high = (power_of_ten(b) for b in e.bounds)
     return (
-        Fact("Probability", power_of_ten(e.probability), "Of one encounter, drawn from traffic."),
+        Fact(
+            "Probability",
+            power_of_ten(e.probability) if e.probability > 0 else "not determined",
+            "Of one encounter, drawn from traffic.",
+        ),
         Fact(
             f"{100 * e.confidence:g} % interval",
             interval_text(e.interval) + _relative(e),
@@ -88,7 +92,7 @@ def _quality(e: Estimate) -> tuple[Fact, ...]:
         ),
         Fact(
             "Largest weight share",
-            percent(e.largest_weight_share),
+            percent(e.largest_weight_share) if e.probability > 0 else MISSING,
             "Share of the estimate that hangs on its most influential run; above 25 % is an alarm.",
         ),
         Fact(

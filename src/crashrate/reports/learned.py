@@ -26,7 +26,8 @@ class Learned:
         1 crash, 0 safe, NaN failed.
     monotone : MonotoneSet
     reference : (m,) array
-        The likeliest crash, or without one the likeliest run: where sections are taken.
+        Where sections are taken: the likeliest crash that no outcome contradicts, or else the
+        likeliest crash, or else the likeliest run.
     reference_is_crash : bool
     lower, upper : (m,) arrays
         What of u the figures show.
@@ -78,7 +79,10 @@ def learned_set(record: RunRecord) -> Learned | None:
         u[labelled], record.outcomes[labelled] == 1
     )
     crashes = by_density(record, crash=True)
-    reference = u[crashes[0]] if len(crashes) else u[_likeliest_run(record)]
+    # a contradicted crash implies nothing: a section through it would show no crash around it
+    doubted = np.flatnonzero(labelled)[monotone.contradicted]
+    trusted = crashes[~np.isin(crashes, doubted)]
+    reference = u[[*trusted, *crashes, _likeliest_run(record)][0]]
     lower, upper = _view(u, monotone)
     return Learned(
         order=order,

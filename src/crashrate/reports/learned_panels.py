@@ -60,7 +60,8 @@ def _dominating(record: RunRecord, learned: Learned) -> tuple[DominatingPoints, 
         )
     return DominatingPoints(inner, outer), (
         "A dominating point is where one component of the traffic model is densest in a set; each "
-        "component has one in the inner and one in the outer set. Corners without a bound lie on "
+        "component has one in the inner and one in the outer set, where these are not empty. "
+        "Corners without a bound lie on "
         "the edge of the view. "
     )
 
@@ -85,6 +86,8 @@ def _line_caption(learned: Learned) -> str:
 
 def _section_caption(learned: Learned) -> str:
     through = "likeliest simulated crash" if learned.reference_is_crash else "likeliest run"
+    if learned.reference_is_crash and learned.monotone.contradictions:
+        through += " that no outcome contradicts"
     return (
         f"Two risk coordinates at a time, the others held at the {through}; the value stands above "
         "each section. Shaded red: implied to crash; blue: implied safe; pale: undecided. Runs "

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -165,3 +167,17 @@ def test_very_many_corners_are_thinned_and_the_legend_says_so(build, problem):
     assert n > 2000
     found = traces(space_plot(learned, DominatingPoints()))
     assert f"corner of the outer set (2,000 of {n:,})" in found
+
+
+def test_the_reference_is_a_crash_that_nothing_contradicts(build):
+    record = build()
+    crashes = np.flatnonzero(record.outcomes == 1)
+    likeliest = crashes[np.argsort(-record.traffic.log_density(record.x[crashes]))]
+    x, outcomes = record.x.copy(), record.outcomes.copy()
+    # the likeliest crash simulated again, this time safe
+    x, outcomes = np.vstack([x, x[likeliest[0]]]), np.append(outcomes, 0.0)
+    learned = learned_set(dataclasses.replace(record, x=x, outcomes=outcomes))
+    u = learned.order(x[likeliest])
+    assert not np.array_equal(learned.reference, u[0])
+    assert (learned.reference == u).all(axis=1).any()
+    assert learned.monotone.classify(learned.reference[None]) == [1]

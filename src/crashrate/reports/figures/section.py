@@ -27,7 +27,8 @@ NEAR = 0.03  # of the view: runs this close to the section are drawn on it
 _WORDS = {Label.UNDECIDED: "undecided", Label.SAFE: "implied safe", Label.CRASH: "implied crash"}
 _NAME = {"showarrow": False, "font": {"color": INK}, "bgcolor": "rgba(255,255,255,0.65)"}
 _MARGIN = {"l": 64, "r": 18, "t": 36, "b": 48}
-_MIN_CLEARANCE = 7  # grid cells around a region's name
+_LETTERING = (1.0, 0.25)  # a name is four times as wide as it is high
+_MIN_CLEARANCE = 5  # grid cells above and below a region's name
 
 
 def section_plots(learned: Learned) -> tuple[Plot, ...]:
@@ -112,7 +113,7 @@ def _names(learned: Learned, i: int, j: int, labels: np.ndarray) -> list[dict[st
 
     notes = []
     for label, word in _WORDS.items():
-        depth = distance_transform_edt(np.pad(labels == label, 1))[1:-1, 1:-1]
+        depth = distance_transform_edt(np.pad(labels == label, 1), sampling=_LETTERING)[1:-1, 1:-1]
         row, column = np.unravel_index(int(depth.argmax()), depth.shape)
         if depth[row, column] < _MIN_CLEARANCE:
             continue
