@@ -26,7 +26,9 @@ from crashrate.traffic.truncated_components import Box, Components, components_a
 from crashrate.variables import BoolArray, FloatArray
 
 _MAX_HALVINGS = 30
+_MAX_LOG_MASS_STEP = 3.0
 _ROUNDING = 1e-12
+_SUFFICIENT = 0.1  # share of the gain that a Newton step must keep of what its slope promises
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ def lee_scott_step(events: Events, prior: Prior, mixture: Mixture) -> Step:
     )
     downhill = (step * gradient).sum(axis=1) < -_ROUNDING * events.n
     step[downhill] = uphill[downhill]
-    return _safeguarded(events, prior, mixture, step, ~definite | downhill)
+    return _safeguarded(events, prior, mixture, step, ~definite | downhill, promise=0.0)
 
 
 def lee_scott_target(prior: Prior, mixture: Mixture) -> tuple[FloatArray, FloatArray]:
@@ -76,14 +78,22 @@ def lee_scott_target(prior: Prior, mixture: Mixture) -> tuple[FloatArray, FloatA
 
 def information_em_step(events: Events, prior: Prior, mixture: Mixture) -> Step:
     """One EM step whose M-step is a Newton step on every Q_k, shortened where it overshoots."""
-    step = information_step(prior, mixture, theta_gradient(prior, mixture))
-    return _safeguarded(events, prior, mixture, step, np.zeros(len(step), bool))
+    gradient = theta_gradient(prior, mixture)
+    step = information_step(prior, mixture, gradient)
+    promise = _SUFFICIENT * (step * gradient).sum(axis=1)
+    return _safeguarded(events, prior, mixture, step, np.zeros(len(step), bool), promise=promise)
 
 
 def _safeguarded(
-    events: Events, prior: Prior, mixture: Mixture, step: FloatArray, replaced: BoolArray
+    events: Events,
+    prior: Prior,
+    mixture: Mixture,
+    step: FloatArray,
+    replaced: BoolArray,
+    *,
+    promise: FloatArray | float,
 ) -> Step:
-    """Move each component by its step, halved until its Q_k does not fall."""
+    """Move each component by its step, halved until its Q_k gains its share of `promise`."""
     current = mixture.components
     before = _q(prior, mixture, current)
     before -= _ROUNDING * (np.abs(before) + 1.0)  # at its maximum Q_k moves by rounding alone
@@ -92,7 +102,7 @@ def _safeguarded(
     scale = 1.0
     for _ in range(_MAX_HALVINGS):
         trial, good = trial_components(current, scale * step, pending, events.box)
-        good &= _q(prior, mixture, trial) >= before
+        good &= _q(prior, mixture, trial) >= before + scale * promise
         accepted = accepted.replace(trial, good)
         pending &= ~good
         if not pending.any():
@@ -114,7 +124,9 @@ def trial_components(
     if not moved.any():
         return current, moved
     trial = components_at(np.where(moved[:, None], theta, current.theta), box)
-    return trial, moved & sound(trial)
+    # A trust region: the quadratic model of a step knows nothing of a box far less likely.
+    near = trial.log_masses > 2.0 * current.log_masses - _MAX_LOG_MASS_STEP
+    return trial, moved & sound(trial) & near
 
 
 def _q(prior: Prior, mixture: Mixture, components: Components) -> FloatArray:

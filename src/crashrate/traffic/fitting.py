@@ -10,13 +10,15 @@ from crashrate.errors import NumericalError
 from crashrate.traffic.em import information_em_step, lee_scott_step
 from crashrate.traffic.natural import to_natural
 from crashrate.traffic.objective import Events, Mixture, Prior, mixture_at
-from crashrate.traffic.quasi_newton import QuasiNewton
+from crashrate.traffic.quasi_newton import QuasiNewton, gain_promised
 from crashrate.traffic.start import Start
 from crashrate.traffic.truncated_components import components_at, sound, usable
 
 _N_EM = 15  # EM steps before the quasi-Newton ones: far from the answer they are the safer
 _N_SMALL = 3  # gains below the tolerance in a row that mean convergence
+_N_STUCK = 30  # ... and that mean that there is no way on
 _MAX_INFLATIONS = 12
+_ROUNDING = 1e-10
 
 
 class Algorithm(StrEnum):
@@ -45,6 +47,8 @@ class Fit:
     objectives : tuple of float
         Penalised log likelihood per event at the start and after every step: never falling.
     converged : bool
+    promise : float
+        Gain per event that the slope at the end still promises one step.
     n_safeguarded : int
         Components whose step was shortened or replaced, summed over EM steps.
     """
@@ -52,6 +56,7 @@ class Fit:
     mixture: Mixture
     objectives: tuple[float, ...]
     converged: bool
+    promise: float
     n_safeguarded: int
 
 
@@ -66,20 +71,28 @@ def fit_from(events: Events, prior: Prior, start: Start, schedule: Schedule) -> 
     climb = _climber(events, prior, schedule)
     mixture = _first(events, prior, start)
     objectives = [mixture.objective]
+    new: Mixture | None = mixture
     n_small = n_safeguarded = 0
+    enough = max(_N_SMALL * schedule.tol, _ROUNDING)
     for i in range(schedule.max_iter):
         new, n_events = climb(i, mixture)
         n_safeguarded += n_events
-        if new is None:  # no step gains anything: rounding ends the climb
-            return Fit(mixture, tuple(objectives), True, n_safeguarded)
+        if new is None:  # no step gains anything
+            break
         gain = new.objective - mixture.objective
         if gain >= 0.0:  # rounding may take back the last digit of a converged EM step
             mixture = new
         objectives.append(mixture.objective)
         n_small = n_small + 1 if gain < schedule.tol else 0
-        if n_small >= _N_SMALL:
-            return Fit(mixture, tuple(objectives), True, n_safeguarded)
-    return Fit(mixture, tuple(objectives), False, n_safeguarded)
+        if n_small >= _N_SMALL and gain_promised(events, prior, mixture) <= enough:
+            break
+        if n_small >= _N_STUCK:
+            break
+    # Small gains are not enough: EM crawls, and a climb may be stuck against what arithmetic
+    # can hold. The slope tells.
+    promise = gain_promised(events, prior, mixture)
+    converged = (new is None or n_small >= _N_SMALL) and promise <= enough
+    return Fit(mixture, tuple(objectives), converged, promise, n_safeguarded)
 
 
 Climb = Callable[[int, Mixture], tuple[Mixture | None, int]]

@@ -41,7 +41,8 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         "quasi-newton": a few EM steps, then L-BFGS on the natural parameters; converges.
         "lee-scott": the paper's EM, its steps safeguarded; slow where data pile up at a side.
     tol : float
-        Converged when three steps in a row gain less than this in log likelihood per event.
+        Converged when three steps in a row gain less than this in log likelihood per event, and
+        the slope promises no more.
     max_iter : int
         Most steps of one fit.
     n_init : int
@@ -68,6 +69,8 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         Its log likelihood per event with the prior, in normalised units.
     lower_bounds_ : list of float
         The same at the start and after every step; never falling.
+    promise_ : float
+        Gain per event that the slope still promises one more step: 0 at the very top.
     n_safeguarded_ : int
         Component steps of EM that were shortened or replaced so that the likelihood not fall.
     prior_strength_ : float
@@ -140,11 +143,10 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         best, strength = self._best_fit(Events(standard_rows, standard.box), schedule, standard)
         self._keep(best, strength, standard, rows)
         if not best.converged:
-            gain = best.objectives[-1] - best.objectives[-2]
             warnings.warn(
-                f"not converged in {schedule.max_iter} steps: the last gained {gain:.2g} per "
-                f"event where {self.tol:.2g} was asked; raise max_iter or tol, or lower "
-                "n_components.",
+                f"not converged in {self.n_iter_} steps: the next still promises a gain of "
+                f"{best.promise:.2g} in log likelihood per event (tol = {self.tol:.2g}); raise "
+                "max_iter, tol or prior_strength, or lower n_components.",
                 ConvergenceWarning,
                 stacklevel=2,
             )
@@ -239,6 +241,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         self.n_iter_ = len(best.objectives) - 1
         self.lower_bound_ = best.mixture.objective
         self.lower_bounds_ = list(best.objectives)
+        self.promise_ = best.promise
         self.n_safeguarded_ = best.n_safeguarded
         self.prior_strength_ = strength
         self.log_likelihood_ = best.mixture.expectation.log_likelihood - len(rows) * float(

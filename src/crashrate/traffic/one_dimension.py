@@ -55,8 +55,17 @@ def log_interval_probability(lower: npt.ArrayLike, upper: npt.ArrayLike) -> Floa
 
 def _log_tail(a: FloatArray, b: FloatArray) -> FloatArray:
     """log P(a <= Z <= b) for 0 < a < b: the density at a times a scaled difference."""
+    scaled = 0.5 * erfcx(_SQRT_HALF * a)
+    closed = np.isfinite(b)
+    if closed.any():  # most tails are open: spare them the second term
+        _close_tail(scaled, a, b, closed)
+    return np.asarray(np.log(scaled) - 0.5 * a * a)
+
+
+def _close_tail(scaled: FloatArray, a: FloatArray, b: FloatArray, closed: BoolArray) -> None:
+    """Take the mass beyond b off `scaled`, in place, where the interval is closed."""
     drop = 0.5 * (b - a) * (b + a)  # how far the log density falls from a to b
-    scaled = 0.5 * (erfcx(_SQRT_HALF * a) - np.exp(-drop) * erfcx(_SQRT_HALF * b))
+    scaled[closed] -= 0.5 * np.exp(-drop[closed]) * erfcx(_SQRT_HALF * b[closed])
     narrow = drop < _NARROW  # where the difference above cancels
     if narrow.any():
         left, width = a[narrow, None], (b - a)[narrow, None]
@@ -64,7 +73,6 @@ def _log_tail(a: FloatArray, b: FloatArray) -> FloatArray:
         step = 0.5 * width * (1.0 + nodes)
         area = (np.exp(-step * (left + 0.5 * step)) @ weights) * 0.5 * width[:, 0]
         scaled[narrow] = area / math.sqrt(2.0 * math.pi)
-    return np.asarray(np.log(scaled) - 0.5 * a * a)
 
 
 @dataclass(frozen=True, slots=True)

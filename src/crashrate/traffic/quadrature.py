@@ -20,14 +20,14 @@ from crashrate.variables import BoolArray, FloatArray
 
 # Gauss-Legendre nodes per dimension, refined until two rungs agree; each rung is good to about
 # the square of what the difference from the one before shows.
-_RUNGS = (20, 36, 72, 144, 288)
+_RUNGS = (14, 24, 48, 96, 192, 288)
 _AGREEMENT = 1e-6
 _LAST_AGREEMENT = 1e-4
 _MAX_RESIDUAL = 1e-3  # of a saddle point that still tells where the mass is
 _MAX_TENSOR_DIMENSION = 3
 _SOBOL_SEED = 20170611  # fixed: the same box gives the same bits
 _SOBOL_LOG2 = 15  # 8 x 4096 points
-_MAX_NUMBERS = 2_000_000  # in one array of nodes
+_MAX_NUMBERS = 200_000  # in one array of nodes: what the cache holds
 
 
 @dataclass(frozen=True, slots=True)

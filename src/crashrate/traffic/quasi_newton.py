@@ -43,6 +43,28 @@ class _Pair:
     inverse_product: float
 
 
+def _gradient(events: Events, prior: Prior, mixture: Mixture) -> FloatArray:
+    """Gradient (K, 1 + q) in (log weight, theta) of the penalised log likelihood."""
+    by_weight = mixture.expectation.counts - events.n * np.exp(mixture.log_weights)
+    return np.hstack([by_weight[:, None], theta_gradient(prior, mixture)])
+
+
+def _preconditioned(
+    events: Events, prior: Prior, mixture: Mixture, gradient: FloatArray
+) -> FloatArray:
+    """A gradient (K, 1 + q) over the information blocks of weights and components."""
+    weights = np.maximum(np.exp(mixture.log_weights), _MIN_WEIGHT)
+    by_weight = gradient[:, 0] / (events.n * weights)
+    return np.hstack([by_weight[:, None], information_step(prior, mixture, gradient[:, 1:])])
+
+
+def gain_promised(events: Events, prior: Prior, mixture: Mixture) -> float:
+    """Gain per event that the slope promises one step of the blocks' length; 0 at the top."""
+    gradient = _gradient(events, prior, mixture)
+    step = _preconditioned(events, prior, mixture, gradient)
+    return float((gradient * step).sum() / events.n)
+
+
 class QuasiNewton:
     """The memory of an L-BFGS ascent; :meth:`step` makes one step of it."""
 
@@ -53,7 +75,7 @@ class QuasiNewton:
 
     def step(self, mixture: Mixture) -> Mixture | None:
         """The mixture after one step uphill, or None where no step gains anything."""
-        gradient = self._gradient(mixture)
+        gradient = _gradient(self._events, self._prior, mixture)
         direction = self._direction(mixture, gradient)
         if float((direction * gradient).sum()) <= 0.0:
             self._pairs.clear()
@@ -66,14 +88,8 @@ class QuasiNewton:
         if found is None:
             return None
         scale, new = found
-        self._remember(scale * direction, gradient - self._gradient(new))
+        self._remember(scale * direction, gradient - _gradient(self._events, self._prior, new))
         return new
-
-    def _gradient(self, mixture: Mixture) -> FloatArray:
-        """Gradient (K, 1 + q) in (log weight, theta) of the penalised log likelihood."""
-        seen = mixture.expectation
-        by_weight = seen.counts - self._events.n * np.exp(mixture.log_weights)
-        return np.hstack([by_weight[:, None], theta_gradient(self._prior, mixture)])
 
     def _direction(self, mixture: Mixture, gradient: FloatArray) -> FloatArray:
         """The two-loop recursion with the information blocks as initial curvature."""
@@ -83,18 +99,11 @@ class QuasiNewton:
             share = pair.inverse_product * float((pair.step * rest).sum())
             shares.append(share)
             rest -= share * pair.change
-        direction = self._preconditioned(mixture, rest)
+        direction = _preconditioned(self._events, self._prior, mixture, rest)
         for pair, share in zip(self._pairs, reversed(shares), strict=True):
             back = pair.inverse_product * float((pair.change * direction).sum())
             direction += (share - back) * pair.step
         return direction
-
-    def _preconditioned(self, mixture: Mixture, gradient: FloatArray) -> FloatArray:
-        weights = np.maximum(np.exp(mixture.log_weights), _MIN_WEIGHT)
-        by_weight = gradient[:, 0] / (self._events.n * weights)
-        return np.hstack(
-            [by_weight[:, None], information_step(self._prior, mixture, gradient[:, 1:])]
-        )
 
     def _search(
         self, mixture: Mixture, gradient: FloatArray, direction: FloatArray

@@ -184,7 +184,9 @@ def saddle_points(chain: Chain) -> Tilting:
     for _ in range(_MAX_NEWTON):
         if not len(active):
             break
-        step = np.linalg.solve(hessian[active], gradient[active, :, None])[..., 0]
+        step = np.asarray(
+            np.linalg.solve(hessian[active], gradient[active, :, None])[..., 0], float
+        )
         moved = _line_search(chain.take(active), active, step, (state, gradient, hessian, psi))
         active = active[moved]
         active = active[np.abs(gradient[active]).max(axis=1, initial=0.0) > _TOLERANCE]
