@@ -1,4 +1,5 @@
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.mixture import GaussianMixture
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
+from crashrate import datasets
 from crashrate.errors import InvalidInputError
 from crashrate.traffic.mixture import TruncatedGaussianMixture
 from crashrate.traffic.model import TrafficModel
 
 INF = np.inf
+RECORDED = Path(__file__).resolve().parents[2] / "../shared/data/spmd_lane_changes.parquet"
 ALGORITHMS = ["quasi-newton", "lee-scott"]
 
 
@@ -195,6 +198,37 @@ def test_the_traffic_model_is_the_estimator():
     again = clone(model).fit(x)
     np.testing.assert_array_equal(again.means_, model.means_)
     np.testing.assert_array_equal(model.fit_predict(x), model.predict(x))
+
+
+@pytest.mark.skipif(not RECORDED.exists(), reason="recorded lane changes not at ../shared/data")
+def test_recorded_lane_changes():
+    from pyarrow import parquet
+
+    published = datasets.spmd_mixture()
+    table = parquet.read_table(RECORDED, columns=list(published.names))
+    x = np.column_stack([column.to_numpy() for column in table.columns])
+    n_parameters = 8 + 9 * 3 + 9 * 6
+    bic = -2 * published.log_density(x).sum() + n_parameters * np.log(len(x))
+    assert bic == pytest.approx(-730_907, abs=1)
+    model = TruncatedGaussianMixture(
+        6, lower=published.lower, upper=published.upper, random_state=0
+    ).fit(x[::8])
+    assert model.converged_
+    # Six components found here beat the study's nine.
+    assert model.score(x) > published.log_density(x).mean()
+
+
+def test_a_climb_that_is_stuck_does_not_call_itself_converged():
+    # Without a prior the best law on a falling slope lies at infinity.
+    x = np.random.default_rng(0).exponential(size=(2000, 3)) ** 1.5
+    model = TruncatedGaussianMixture(lower=0.0, prior_strength=0.0)
+    with pytest.warns(ConvergenceWarning, match="still promises a gain"):
+        model.fit(x)
+    assert not model.converged_
+    assert model.promise_ > 0.0
+    calm = TruncatedGaussianMixture(lower=0.0).fit(x)
+    assert calm.converged_
+    assert calm.promise_ < 1e-6
 
 
 def test_more_starts_are_never_worse():

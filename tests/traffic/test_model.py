@@ -1,5 +1,7 @@
 import json
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -117,6 +119,7 @@ def test_json_brings_back_every_bit(tmp_path):
         pickle.loads(pickle.dumps(model)),  # noqa: S301 - our own bytes
     ):
         assert back == model
+        assert not back.means.flags.writeable
         assert hash(back) == hash(model)
         np.testing.assert_array_equal(back.weights, model.weights)
         assert back.provenance == model.provenance
@@ -185,3 +188,10 @@ def test_weights_are_normalised_only_where_they_have_to_be():
     empty = two_components(weights=[1.0, 0.0])
     assert np.isfinite(empty.log_density([[0.0, 1.0]])).all()
     assert empty.component_masses.shape == (2,)
+
+
+def test_the_model_loads_no_heavy_library():
+    heavy = ["sklearn", "scipy.stats", "scipy.optimize", "pyarrow"]
+    code = f"import sys, crashrate.datasets; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -11,6 +11,7 @@ from sklearn.base import BaseEstimator, DensityMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
+from threadpoolctl import threadpool_limits
 
 from crashrate.errors import InvalidInputError, NumericalError
 from crashrate.traffic.fitting import Algorithm, Fit, Schedule, fit_from
@@ -139,8 +140,10 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         self._check_number_of(rows)
         lower, upper = checked_sides(self.lower, self.upper, rows)
         standard = Standard.of(rows, lower, upper)
-        standard_rows = standard.forward(rows)
-        best, strength = self._best_fit(Events(standard_rows, standard.box), schedule, standard)
+        events = Events(standard.forward(rows), standard.box)
+        # The products are small and many: threads would only wait for each other.
+        with threadpool_limits(limits=1, user_api="blas"):
+            best, strength = self._best_fit(events, schedule, standard)
         self._keep(best, strength, standard, rows)
         if not best.converged:
             warnings.warn(

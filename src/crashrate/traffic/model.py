@@ -295,6 +295,11 @@ class TrafficModel:
         """
         return cls(**from_document(text_or_path))
 
+    def __reduce__(self) -> tuple[type["TrafficModel"], tuple[Any, ...]]:
+        # Through the constructor, so that a copy's arrays are read-only too.
+        names = ("weights", "means", "covariances", "lower", "upper", "names", "provenance")
+        return TrafficModel, tuple(getattr(self, name) for name in names)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TrafficModel):
             return NotImplemented
