@@ -231,6 +231,15 @@ def test_a_climb_that_is_stuck_does_not_call_itself_converged():
     assert calm.promise_ < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("columns", "names"), [(["speed", "gap"], ("speed", "gap")), (["a b", "c"], ("x0", "x1"))]
+)
+def test_variables_are_named_as_the_columns_where_they_can_be(columns, names):
+    model = TruncatedGaussianMixture().fit(np.random.default_rng(0).random((20, 2)))
+    model.feature_names_in_ = np.array(columns, dtype=object)  # as from a data frame
+    assert model.traffic_model().names == names
+
+
 def test_more_starts_are_never_worse():
     x, lower = overlapping(3, 600, 2, 4)
     one = TruncatedGaussianMixture(4, lower=lower, random_state=2).fit(x)

@@ -98,7 +98,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         upper: npt.ArrayLike | None = None,
         algorithm: str = "quasi-newton",
         tol: float = 1e-7,
-        max_iter: int = 500,
+        max_iter: int = 1000,
         n_init: int = 1,
         prior_strength: float = 1.0,
         weights_init: npt.ArrayLike | None = None,
@@ -261,11 +261,12 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         Parameters
         ----------
         names : sequence of str, optional
-            Names of the variables; by default the data frame's columns, or x0, x1, ...
+            Names of the variables; by default the data frame's columns where they are
+            identifiers, else x0, x1, ...
         """
         check_is_fitted(self, "weights_")
         if names is None:
-            names = getattr(self, "feature_names_in_", default_names(self.n_features_in_))
+            names = self._column_names()
         provenance = {
             "fitted": "crashrate TruncatedGaussianMixture",
             "algorithm": str(self.algorithm),
@@ -281,6 +282,12 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
             self.weights_, self.means_, self.covariances_, lower, upper,
             tuple(str(name) for name in names), provenance,
         )  # fmt: skip
+
+    def _column_names(self) -> Sequence[str]:
+        """The data frame's columns where they can be names of variables, else x0, x1, ..."""
+        names = [str(name) for name in getattr(self, "feature_names_in_", ())]
+        good = names and all(name.isidentifier() for name in names)
+        return names if good else default_names(self.n_features_in_)
 
     def _n_parameters(self) -> int:
         """K - 1 weights, K d means and K d (d + 1) / 2 covariances."""
