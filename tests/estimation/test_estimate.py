@@ -1,0 +1,98 @@
+"""The answer as a value."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.estimate import Estimate, HistoryPoint, in_words
+
+ANSWER = Estimate(
+    probability=2e-6,
+    interval=(1.8e-6, 2.2e-6),
+    confidence=0.95,
+    standard_error=1e-7,
+    bounds=(1e-6, 5e-6),
+    n_calls=100,
+    n_crashes=40,
+    n_failed=0,
+    n_eff=400.0,
+    largest_weight_share=0.05,
+    log_efficiency=1.8,
+    alarms=(Alarm.ORDER_CONTRADICTED,),
+    stop_reason=StopReason.TARGET_MET,
+    method="sequential",
+    seed=7,
+    history=(HistoryPoint(100, 2e-6, 1.8e-6, 2.2e-6, "estimate"),),
+)
+NOTHING = replace(ANSWER, probability=math.nan, interval=(0.0, 1.0), standard_error=math.inf)
+
+
+def test_widths():
+    assert ANSWER.half_width == pytest.approx(2e-7)
+    assert ANSWER.relative_half_width == pytest.approx(0.1)
+    assert NOTHING.relative_half_width == math.inf
+
+
+def test_crude_monte_carlo_calls():
+    n = ANSWER.crude_monte_carlo_calls
+    p = ANSWER.probability
+    assert 1.959964 * math.sqrt(p * (1 - p) / n) == pytest.approx(ANSWER.half_width, rel=1e-6)
+    assert ANSWER.acceleration == pytest.approx(n / 100)
+    assert NOTHING.crude_monte_carlo_calls == math.inf
+    assert math.isnan(replace(ANSWER, n_calls=0).acceleration)
+
+
+def test_a_wider_confidence_asks_for_more_crude_runs():
+    wider = replace(ANSWER, confidence=0.99)
+    assert wider.crude_monte_carlo_calls > 1.5 * ANSWER.crude_monte_carlo_calls
+
+
+def test_sentence():
+    assert ANSWER.sentence() == (
+        "P(crash) = 2.0e-06 per lane change, 95 % interval [1.8e-06, 2.2e-06] (± 10 %); "
+        "100 simulator runs; crude Monte Carlo would need 190 million"
+    )
+    assert "P(crash) has no estimate yet" in NOTHING.sentence()
+    unseen = replace(NOTHING, probability=0.0, n_crashes=0)
+    assert "is not determined: no crash was seen" in unseen.sentence()
+    assert "P(fall) = 2.0e-06 per step" in ANSWER.sentence("fall", "step")
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (43210, "43,000"),
+        (1.94e8, "190 million"),
+        (2.5e9, "2.5 billion"),
+        (3e12, "3 trillion"),
+        (12, "12"),
+    ],
+)
+def test_in_words(number, words):
+    assert in_words(number) == words
+
+
+def test_dictionary_is_json_and_holds_everything():
+    record = ANSWER.to_dict()
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert record["schema"] == "crashrate.result/1"
+    assert record["alarms"] == [
+        {"name": "ORDER_CONTRADICTED", "message": Alarm.ORDER_CONTRADICTED.value}
+    ]
+    assert record["stop_reason"] == "the target was met"
+    assert record["history"][0]["n_calls"] == 100
+    fields = set(Estimate.__dataclass_fields__)
+    assert fields | {"relative_half_width", "crude_monte_carlo_calls", "acceleration"} <= set(
+        record
+    )
+
+
+def test_dictionary_of_no_answer_has_none_for_what_is_not_finite():
+    record = NOTHING.to_dict()
+    json.dumps(record, allow_nan=False)
+    assert record["probability"] is None
+    assert record["standard_error"] is None
+    assert record["relative_half_width"] is None

@@ -1,0 +1,110 @@
+"""The search for the first crash and the crash set's edge."""
+
+import numpy as np
+import pytest
+
+from crashrate.crash_set.order import RiskOrder
+from crashrate.estimation.exploration import MAX_INFLATIONS, danger, explore, inflated
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.strategy import Problem
+from crashrate.traffic.model import TrafficModel
+
+pytestmark = pytest.mark.usefixtures("small")
+
+
+def problem_of(case, risk="its own", **options):
+    risk = case.risk if risk == "its own" else risk
+    order = None if risk is None else RiskOrder.from_mapping(risk, case.traffic.names)
+    return Problem(traffic=case.traffic, order=order, **options)
+
+
+def test_danger_is_a_chain():
+    u = np.random.default_rng(0).standard_normal((300, 2))
+    rank = danger(u)
+    above = (u[:, None] > u[None]).all(axis=2)
+    i, j = np.nonzero(above)
+    assert np.all(rank[i] > rank[j])
+
+
+def test_inflated_has_every_component_at_every_size():
+    traffic = TrafficModel(
+        [0.9, 0.1], [[0.0], [3.0]], [[[1.0]], [[2.0]]], [-np.inf], [np.inf], ("a",)
+    )
+    got = inflated(traffic, (1.0, 4.0))
+    assert got.weights.tolist() == [0.25] * 4
+    assert got.covariances.ravel().tolist() == [1.0, 2.0, 4.0, 8.0]
+
+
+@pytest.mark.parametrize("p", [1e-2, 1e-6])
+def test_finds_the_edge_with_few_runs(cases, drive, p):
+    case = cases.half_plane(p)
+    found, queries = drive(explore(problem_of(case)), case.crash)
+    assert found.found
+    assert all(len(q.x) == 1 for q in queries)
+    assert found.labels.n < 45
+    danger_of = found.labels.x.sum(axis=1) / np.sqrt(2)
+    gap = danger_of[found.labels.y == 1].min() - danger_of[found.labels.y == 0].max()
+    assert 0 < gap < 0.5
+    assert found.labels.contradictions == 0
+
+
+def test_edge_points_are_near_the_likeliest_crash(cases, drive):
+    case = cases.half_plane(1e-6)
+    labels = drive(explore(problem_of(case)), case.crash)[0].labels
+    distance = np.linalg.norm(labels.crashes, axis=1)
+    assert distance.min() < 4.7534 + 1.2  # the likeliest crash is 4.7534 from the centre
+
+
+def test_without_an_order_space_is_filled_until_a_crash(cases, drive):
+    case = cases.half_plane(1e-3)
+    found, _ = drive(explore(problem_of(case, risk=None)), case.crash)
+    assert found.found
+    assert found.labels.learned is None
+
+
+def test_an_order_whose_most_dangerous_situations_are_safe_is_dropped(cases, drive):
+    case = cases.disc()
+    down = dict.fromkeys("ab", "decreasing")
+    found, queries = drive(explore(problem_of(case, risk=down, max_calls=60)), case.crash)
+    assert found.labels.learned is None
+    assert len(queries) > MAX_INFLATIONS
+
+
+@pytest.mark.parametrize("max_calls", [1, 2, 5, 9, 14])
+@pytest.mark.parametrize("ordered", [True, False])
+def test_keeps_to_the_budget(cases, drive, max_calls, ordered):
+    case = cases.half_plane(1e-4)
+    risk = case.risk if ordered else None
+    found, _ = drive(explore(problem_of(case, risk=risk, max_calls=max_calls)), case.crash)
+    assert found.labels.n <= max_calls
+
+
+def test_common_crashes_leave_no_ordinary_draws_for_safe(cases, drive):
+    case = cases.half_plane(0.3)
+    found, _ = drive(explore(problem_of(case)), case.crash)
+    assert len(found.ordinary) == 0
+    rare = cases.half_plane(1e-6)
+    found, _ = drive(explore(problem_of(rare)), rare.crash)
+    assert len(found.ordinary) > 0
+    assert not rare.crash(found.ordinary).any()
+
+
+def test_failed_simulations_do_not_end_the_search(cases, drive):
+    case = cases.half_plane(1e-4)
+    calls = iter(range(10**6))
+
+    def simulate(x):
+        return np.where(next(calls) % 3 == 2, np.nan, case.crash(x))
+
+    found, _ = drive(explore(problem_of(case)), simulate)
+    assert found.found
+    assert np.isnan(found.labels.y).any()
+
+
+def test_labels_without_order_imply_nothing(cases):
+    problem = problem_of(cases.half_plane(0.1))
+    labels = Labels.empty(problem).add(np.array([[1.0, 1.0]]), np.array([1.0]))
+    above = np.array([[2.0, 2.0]])
+    assert labels.implied(above)[0].tolist() == [True]
+    assert labels.without_order().implied(above)[0].tolist() == [False]
+    assert labels.without_order().contradictions == 0

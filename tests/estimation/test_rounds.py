@@ -1,0 +1,194 @@
+"""Rounds: unbiased whatever the surrogate says, and calibrated together."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crashrate.estimation.rounds import Round, combine, log_efficiency, measure, predicted_variance
+from crashrate.estimation.selection import to_estimate
+
+TIMES = 3000
+
+
+def redrawn(view, outcomes, n=6, times=TIMES, forget=None):
+    """Estimates of the same pool's crash mass by independent rounds."""
+    rng, estimates = np.random.default_rng(0), []
+    for _ in range(times):
+        drawn = to_estimate(view, n, rng)
+        told = drawn if forget is None else replace(drawn, probabilities=forget(drawn))
+        estimates.append(measure(view, told, outcomes[drawn.rows]).estimate)
+    return np.array(estimates)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_round_is_unbiased_for_a_wrong_surrogate_and_a_wrong_order(toy_view, check_mean, seed):
+    view, outcomes = toy_view(np.random.default_rng(seed))
+    truth = float(view.weights @ outcomes)
+    assert np.any(view.inner & (outcomes == 0))
+    assert abs(view.probability / truth - 1) > 0.5
+    check_mean(redrawn(view, outcomes), truth)
+
+
+def test_trusting_the_surrogate_is_seen_to_be_biased(toy_view, check_mean):
+    view, outcomes = toy_view(np.random.default_rng(0))
+    trusting = view.probability + 1e-6 * redrawn(view, outcomes, times=100)
+    with pytest.raises(AssertionError, match="z ="):
+        check_mean(trusting, float(view.weights @ outcomes))
+
+
+def test_wrong_probabilities_are_seen_to_be_biased(toy_view, check_mean):
+    view, outcomes = toy_view(np.random.default_rng(0))
+    uniform = redrawn(view, outcomes, forget=lambda _: np.full(len(view.h), 1 / len(view.h)))
+    tilted = redrawn(view, outcomes, forget=lambda d: d.probabilities * (1.5 - view.h))
+    for estimates in (uniform, tilted):
+        with pytest.raises(AssertionError, match="z ="):
+            check_mean(estimates, float(view.weights @ outcomes))
+
+
+def test_predicted_variance_is_seen_where_the_surrogate_is_right(toy_view):
+    view, _ = toy_view(np.random.default_rng(4))
+    rng, moved = np.random.default_rng(5), []
+    for _ in range(6000):
+        drawn = to_estimate(view, 6, rng)
+        outcomes = (rng.random(len(view.h)) < view.h).astype(float)
+        moved.append(measure(view, drawn, outcomes[drawn.rows]).estimate - view.probability)
+    expected = predicted_variance(view, drawn.probabilities, 6)
+    assert np.var(moved) == pytest.approx(expected, rel=0.12)
+    assert measure(view, drawn, outcomes[drawn.rows]).variance == pytest.approx(
+        expected + view.pool_variance
+    )
+
+
+def test_failed_simulations_bracket_what_they_may_have_been(toy_view):
+    view, outcomes = toy_view(np.random.default_rng(6))
+    drawn = to_estimate(view, 8, np.random.default_rng(7))
+    y = outcomes[drawn.rows]
+    failed = y.copy()
+    failed[[1, 5]] = np.nan
+    got = measure(view, drawn, failed)
+    ends = [measure(view, drawn, np.where(np.isnan(failed), e, failed)) for e in (0.0, 1.0)]
+    assert got.lowest == pytest.approx(ends[0].estimate)
+    assert got.highest == pytest.approx(ends[1].estimate)
+    assert got.lowest < got.estimate < got.highest
+    whole = measure(view, drawn, y)
+    assert whole.lowest == whole.estimate == whole.highest
+
+
+def test_largest_is_the_move_of_one_run(toy_view):
+    view, outcomes = toy_view(np.random.default_rng(8))
+    drawn = to_estimate(view, 1, np.random.default_rng(9))
+    got = measure(view, drawn, outcomes[drawn.rows])
+    assert got.largest == pytest.approx(abs(got.estimate - got.predicted))
+    assert got.n_runs == 1
+
+
+def round_of(estimate, variance, predicted=1.0, fails=0.0, squares=None):
+    return Round(
+        n_runs=10,
+        estimate=estimate,
+        lowest=estimate - fails,
+        highest=estimate + fails,
+        predicted=predicted,
+        variance=variance,
+        n_draws=10,
+        squares=variance if squares is None else squares,
+        largest=0.1,
+    )
+
+
+def intervals(over_confidence, n_rounds=8, times=2000):
+    """Intervals from normal rounds around 0.1, whose true deviations exceed the predicted ones."""
+    rng, found = np.random.default_rng(10), []
+    for _ in range(times):
+        sd = rng.uniform(0.003, 0.03, n_rounds)
+        true = over_confidence * sd
+        estimates = rng.normal(0.1, true)
+        squares = true**2 * rng.chisquare(10, n_rounds) / 10
+        rounds = zip(estimates, sd, squares, strict=True)
+        found.append(combine([round_of(e, s**2, squares=q) for e, s, q in rounds], 0.95))
+    return found
+
+
+@pytest.mark.parametrize(("over_confidence", "least"), [(1.0, 0.95), (1.5, 0.92)])
+def test_intervals_cover_also_where_predictions_are_over_confident(over_confidence, least):
+    found = intervals(over_confidence)
+    covered = np.mean([c.lower <= 0.1 <= c.upper for c in found])
+    assert least - 0.01 <= covered <= 0.99
+
+
+def test_intervals_of_calibrated_rounds_pass_the_coverage_check(check_coverage):
+    found = intervals(1.0, times=400)
+    check_coverage([(c.lower, c.upper) for c in found], 0.1)
+
+
+@pytest.mark.parametrize("spoil", ["halved twice", "shifted"])
+def test_spoilt_intervals_fail_the_coverage_check(check_coverage, spoil):
+    found = intervals(1.0, times=40)
+    if spoil == "shifted":
+        spoilt = [(c.lower + c.half_width, c.upper + c.half_width) for c in found]
+    else:
+        ends = [c.half_width / 4 for c in found]
+        spoilt = [(c.estimate - e, c.estimate + e) for c, e in zip(found, ends, strict=True)]
+    with pytest.raises(AssertionError, match="intervals hold"):
+        check_coverage(spoilt, 0.1)
+
+
+def test_combined_mean_is_unbiased(check_mean):
+    check_mean([c.estimate for c in intervals(1.5)], 0.1)
+
+
+def test_one_round_is_its_own_combination():
+    got = combine([round_of(0.5, 0.01)], 0.95)
+    assert got.estimate == 0.5
+    assert got.standard_error == pytest.approx(0.1)
+    assert got.half_width == pytest.approx(0.1 * 2.776, rel=1e-3)  # Student, 4 degrees
+
+
+def test_scatter_widens_the_interval():
+    calm = combine([round_of(0.5 + e / 4, 0.01 / 16) for e in (-0.1, 0.1, -0.1, 0.1)], 0.95)
+    wild = combine([round_of(0.5 + e / 4, 0.01 / 16) for e in (-0.9, 0.9, -0.9, 0.9)], 0.95)
+    assert calm.estimate == pytest.approx(wild.estimate)
+    assert calm.scatter == pytest.approx(1)
+    assert wild.scatter == pytest.approx(81)
+    assert wild.half_width > 5 * calm.half_width
+
+
+def test_surprising_draws_widen_the_interval():
+    calm = combine([round_of(0.5, 1e-3) for _ in range(4)], 0.95)
+    surprised = combine([round_of(0.5, 1e-3, squares=9e-3) for _ in range(4)], 0.95)
+    assert 2 * calm.half_width < surprised.half_width < 3 * calm.half_width
+    assert surprised.estimate == calm.estimate
+
+
+def test_failed_simulations_widen_the_interval_to_both_sides():
+    rounds = [round_of(0.5, 0.001, fails=0.2) for _ in range(4)]
+    got = combine(rounds, 0.95)
+    assert got.lower == pytest.approx(0.3 - got.half_width)
+    assert got.upper == pytest.approx(0.7 + got.half_width)
+
+
+def test_interval_stays_within_zero_and_one():
+    got = combine([round_of(0.5, 9.0)], 0.95)
+    assert (got.lower, got.upper) == (0.0, 1.0)
+
+
+def test_an_estimate_above_one_is_one():
+    got = combine([round_of(1.002, 1e-5)], 0.95)
+    assert got.estimate == got.upper == 1.0
+    assert got.lower == pytest.approx(1.002 - got.half_width)
+
+
+def test_a_larger_confidence_is_a_wider_interval():
+    rounds = [round_of(0.5, 0.001) for _ in range(5)]
+    assert combine(rounds, 0.99).half_width > combine(rounds, 0.9).half_width
+
+
+def test_log_efficiency_of_crude_monte_carlo_is_one():
+    p, n = 1e-3, 50
+    crude = replace(combine([round_of(p, 1e-8)], 0.95), standard_error=math.sqrt(p * (1 - p) / n))
+    assert log_efficiency(crude, n) == pytest.approx(1.0)
+    exact = replace(crude, standard_error=0.0)
+    assert log_efficiency(exact, n) == pytest.approx(2.0)
+    assert math.isnan(log_efficiency(replace(crude, estimate=0.0), n))

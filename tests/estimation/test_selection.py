@@ -1,0 +1,84 @@
+"""Which draws of a pool are simulated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crashrate.estimation.selection import greedy, to_estimate, to_learn
+
+
+@pytest.fixture
+def view(toy_view):
+    return toy_view(np.random.default_rng(0), n=300)[0]
+
+
+def test_probabilities_sum_to_one_and_reach_whatever_may_be_wrong(view):
+    drawn = to_estimate(view, 6, np.random.default_rng(1))
+    assert drawn.probabilities.sum() == pytest.approx(1)
+    assert drawn.rows.shape == (6,)
+    assert drawn.probabilities.min() > 0  # every draw here has some weight and some doubt
+
+
+def test_rows_are_drawn_as_often_as_their_probabilities_say(view):
+    rng, n, times = np.random.default_rng(2), 5, 4000
+    counts = np.zeros(len(view.h))
+    for _ in range(times):
+        drawn = to_estimate(view, n, rng)
+        np.add.at(counts, drawn.rows, 1)
+    expected = n * times * drawn.probabilities
+    likely = expected > 20
+    z = (counts - expected)[likely] / np.sqrt(expected[likely])
+    assert np.abs(z).max() < 4.5
+    uniform = np.full(likely.sum(), n * times / len(view.h))  # the check tells other frequencies
+    assert np.abs((counts[likely] - uniform) / np.sqrt(uniform)).max() > 4.5
+
+
+def test_systematic_draws_spread_over_h(view):
+    rng = np.random.default_rng(3)
+    spread = [np.ptp(view.h[to_estimate(view, 8, rng).rows]) for _ in range(50)]
+    assert min(spread) > 0.4
+
+
+def test_all_certain_is_drawn_all_the_same(view):
+    certain = np.ones(len(view.h), bool)
+    sure = replace(
+        view, h=certain.astype(float), inner=certain, safe=~certain, surrogate_h=0.999 * certain
+    )
+    drawn = to_estimate(sure, 4, np.random.default_rng(4))
+    assert np.isfinite(drawn.probabilities).all()
+    assert drawn.probabilities.sum() == pytest.approx(1)
+
+
+def test_greedy_rows_are_distinct_and_doubtful(view):
+    rows = greedy(view, 10, np.random.default_rng(5))
+    assert 2 <= len(rows) <= 10
+    assert len(np.unique(rows)) == len(rows)
+    assert view.undecided[rows].all()
+
+
+def test_greedy_prefers_what_settles_most(view):
+    first = greedy(view, 1, np.random.default_rng(6))[0]
+    u, weights = view.pool.u, view.spread / view.spread.sum()
+
+    def settled(row):
+        above = weights[(u >= u[row]).all(axis=1)].sum()
+        below = weights[(u <= u[row]).all(axis=1)].sum()
+        return view.h[row] * above + (1 - view.h[row]) * below
+
+    others = np.random.default_rng(7).choice(len(u), 50, p=weights)
+    assert settled(first) > np.quantile([settled(row) for row in others], 0.8)
+
+
+def test_greedy_finds_nothing_where_nothing_is_in_doubt(view):
+    sure = replace(view, h=np.zeros(len(view.h)))
+    assert len(greedy(sure, 5, np.random.default_rng(8))) == 0
+    assert len(greedy(view, 0, np.random.default_rng(8))) == 0
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 10])
+def test_learning_draws(view, n, ordered):
+    rows = to_learn(view, n, np.random.default_rng(9), ordered=ordered)
+    assert 1 <= len(rows) <= n
+    assert np.array_equal(rows, np.unique(rows))

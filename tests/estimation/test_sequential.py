@@ -1,0 +1,79 @@
+"""The default campaign against exact answers, over many seeds."""
+
+import numpy as np
+import pytest
+
+from crashrate.estimation.alarms import Alarm, StopReason
+
+
+@pytest.mark.parametrize(
+    ("kind", "p", "target"),
+    [("half_plane", 1e-6, 0.1), ("orthant", 1e-3, 0.3), ("tail", 1e-5, 0.1)],
+)
+def test_covers_and_is_unbiased(cases, check_coverage, check_mean, kind, p, target):  # noqa: PLR0917
+    case = getattr(cases, kind)(p)
+    got = [case.estimate(seed, max_calls=150, relative_half_width=target) for seed in range(10)]
+    intervals = np.array([e.interval for e in got])
+    check_coverage(intervals, p)
+    ratios = np.array([e.probability / p for e in got])
+    check_mean(ratios, 1.0)
+    assert ratios.mean() == pytest.approx(1, abs=target / 3)
+    check_coverage([e.bounds for e in got], p, confidence=0.9)  # two standard errors of the pool
+    assert sum(e.stop_reason is StopReason.TARGET_MET for e in got) >= 8
+    # the same checks see intervals that lie elsewhere, and an estimate that is off
+    shift = 1.2 * np.median([e.half_width for e in got])
+    with pytest.raises(AssertionError, match="intervals hold"):
+        check_coverage(intervals + shift, p)
+    with pytest.raises(AssertionError, match="z ="):
+        check_mean(ratios + 5 * ratios.std(), 1.0)
+
+
+@pytest.mark.parametrize("p", [0.5, 1e-2])
+def test_common_events(cases, check_coverage, p):
+    got = [cases.half_plane(p).estimate(seed) for seed in range(2)]
+    check_coverage([e.interval for e in got], p)
+    assert all(e.relative_half_width <= 0.1 for e in got)
+
+
+def test_an_event_that_always_happens(cases):
+    got = cases.always().estimate()
+    assert got.interval[0] <= 1.0 <= got.interval[1]
+    assert got.interval[0] <= got.probability <= got.interval[1]
+    assert got.relative_half_width <= 0.1
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_an_event_that_never_happens(cases, ordered):
+    risk = cases.increasing(2) if ordered else None
+    got = cases.never(risk).estimate(max_calls=60)
+    assert got.n_calls == 60
+    assert got.probability == 0.0
+    assert 0.03 < got.interval[1] <= 1.0
+    assert got.interval[0] == 0.0
+    assert Alarm.NO_CRASH_FOUND in got.alarms
+    assert got.stop_reason is StopReason.BUDGET_ENDED
+    assert "no crash was seen" in got.sentence()
+
+
+def test_a_disc_without_an_order(cases, check_coverage):
+    case = cases.disc(1e-4)
+    got = [case.estimate(seed, max_calls=200, relative_half_width=0.3) for seed in range(2)]
+    check_coverage([e.interval for e in got], 1e-4)
+    assert all(Alarm.NO_ORDER in e.alarms for e in got)
+
+
+def test_a_disc_with_an_order_that_does_not_hold(cases, check_coverage):
+    case = cases.disc(1e-4, cases.increasing(2))
+    got = [case.estimate(seed, max_calls=200, relative_half_width=0.3) for seed in range(2)]
+    doubts = {Alarm.ORDER_DROPPED, Alarm.ORDER_CONTRADICTED}
+    assert all(doubts & set(e.alarms) for e in got)
+    check_coverage([e.interval for e in got], 1e-4)
+
+
+def test_few_calls_are_enough_for_a_rare_event(cases):
+    got = cases.half_plane(1e-6).estimate(max_calls=150)
+    assert got.n_calls < 150
+    assert got.acceleration > 1e5
+    assert got.log_efficiency > 1.5
+    assert got.n_eff > 100
+    assert 0 < got.largest_weight_share < 0.25

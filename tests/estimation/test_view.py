@@ -1,0 +1,119 @@
+"""What is held about a pool's draws."""
+
+import numpy as np
+import pytest
+
+from crashrate.crash_set.order import RiskOrder
+from crashrate.crash_set.surrogate import Prior, fit_surrogate
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.strategy import Problem
+from crashrate.estimation.view import MIN_SCALE, Standardiser, normalised, see
+from crashrate.sampling.pool import draw_pool
+
+PRIOR = Prior(bump=0.5, length=2.0, variance=1e3, linear=1.0, slope=1.0, constant=0.0)
+AS_IS = Standardiser(np.zeros(2), np.ones(2))
+
+
+def labelled(case, x, y, *, ordered=True):
+    order = RiskOrder.from_mapping(case.risk, case.traffic.names) if ordered else None
+    return Labels.empty(Problem(traffic=case.traffic, order=order)).add(np.array(x), np.array(y))
+
+
+def looked_at(case, labels, n=4000, standardise=AS_IS):
+    """A pool of `case` seen through `labels` and a surrogate fitted to them."""
+    pool = draw_pool(case.traffic, case.traffic, labels.coordinates, n, np.random.default_rng(0))
+    return see(
+        pool, labels, fit_surrogate(standardise(labels.u), labels.y == 1, PRIOR), standardise
+    )
+
+
+def test_standardiser_has_weighted_moments():
+    rng = np.random.default_rng(0)
+    u, weights = rng.normal(3, 2, (500, 2)), rng.random(500)
+    z = Standardiser.weighted(u, weights / weights.sum())(u)
+    assert weights @ z == pytest.approx([0, 0], abs=1e-9)
+    assert weights @ z**2 / weights.sum() == pytest.approx([1, 1])
+
+
+def test_standardiser_keeps_the_pool_within_reach():
+    u = np.concatenate([np.linspace(-3, 3, 99), [1.0, 1.0 + 1e-9]])[:, None]
+    weights = np.concatenate([np.zeros(99), [0.5, 0.5]])
+    assert np.abs(Standardiser.weighted(u, weights)(u)).max() < 10 / MIN_SCALE
+
+
+def test_order_decides_and_the_rest_is_the_surrogates(cases):
+    case = cases.half_plane(0.2)
+    labels = labelled(case, [[0.8, 0.8], [-0.5, -0.5]], [1, 0])
+    view = looked_at(case, labels)
+    above = (view.pool.x >= 0.8).all(axis=1)
+    below = (view.pool.x <= -0.5).all(axis=1)
+    assert np.array_equal(view.implied_inner, above)
+    assert np.array_equal(view.implied_safe, below)
+    assert np.array_equal(view.inner | view.safe, ~view.undecided)
+    assert view.h[view.inner].min() >= 0.9
+    assert view.h[view.safe].max() <= 0.1
+    assert view.h[view.undecided] == pytest.approx(view.surrogate_h[view.undecided], abs=0.05)
+    assert np.all((view.surrogate_h > 0) & (view.surrogate_h < 1))
+
+
+def test_an_implied_outcome_is_open_where_the_surrogate_objects(cases):
+    case = cases.half_plane(0.2)
+    labels = labelled(case, [[0.0, 0.0], [1.0, 1.0], [1.2, 0.8]], [1, 0, 0])
+    without = labelled(case, [[0.0, 0.0]], [1])
+    view = see(
+        looked_at(case, without).pool,
+        without,
+        fit_surrogate(labels.u, labels.y == 1, PRIOR),
+        AS_IS,
+    )
+    objected = view.implied_inner & (view.surrogate_h < 0.5)
+    assert objected.any()
+    assert not view.inner[objected].any()
+    assert view.h[objected].max() <= 0.5
+
+
+def test_bounds_hold_the_exact_probability(cases):
+    case = cases.half_plane(0.2)
+    x = case.traffic.sample(60, 1)
+    view = looked_at(case, labelled(case, x, case.crash(x)), n=20_000)
+    low, high = view.bounds()
+    assert 0.05 < low < 0.2 < high < 0.5
+
+
+def test_without_an_order_the_far_is_taken_as_safe(cases):
+    case = cases.half_plane(0.2)
+    x = case.traffic.sample(80, 1)
+    view = looked_at(case, labelled(case, x, case.crash(x), ordered=False))
+    assert not view.inner.any()
+    assert not view.safe.any()
+    assert view.h[view.surrogate_h < 1e-3].max() < 1e-9
+    assert view.bounds() == (0.0, pytest.approx(1.0, abs=1e-9))
+
+
+def test_a_failed_simulation_implies_nothing(cases):
+    case = cases.half_plane(0.2)
+    labels = labelled(case, [[0.8, 0.8], [-0.5, -0.5]], [np.nan, np.nan])
+    assert not any(part.any() for part in labels.implied(case.traffic.sample(100, 2)))
+    assert labels.known.tolist() == [False, False]
+
+
+def test_pool_variance_is_that_of_many_pools(toy_view):
+    seen, predicted = [], []
+    for seed in range(400):
+        view, _ = toy_view(np.random.default_rng(seed))
+        crash = view.pool.x.sum(axis=1) > 2
+        known = type(view)(view.pool, crash.astype(float), view.surrogate_h, *[crash] * 4)
+        seen.append(known.probability)
+        predicted.append(known.pool_variance)
+    assert np.mean(predicted) == pytest.approx(np.var(seen), rel=0.25)
+
+
+def test_distributions_over_draws(toy_view):
+    view, _ = toy_view(np.random.default_rng(1))
+    for distribution in (view.learning, view.target):
+        assert distribution.sum() == pytest.approx(1)
+        assert distribution.min() >= 0
+    ratio = view.target[1] / view.target[0]
+    expected = np.sqrt(view.h[1] / view.h[0]) * view.weights[1] / view.weights[0]
+    assert ratio == pytest.approx(expected)
+    assert normalised(np.zeros(4)).tolist() == [0.25] * 4
