@@ -14,7 +14,7 @@ from scipy.special import log_ndtr, ndtr
 
 from crashrate.variables import BoolArray, FloatArray
 
-MAX_SWEEPS = 60
+MAX_SWEEPS = 25
 SWEEP_TOLERANCE = 0.01
 DAMPING = 0.7  # parallel updates oscillate undamped
 MIN_VARIANCE = 1e-10
@@ -46,7 +46,7 @@ class Prior:
 
     def mean(self, u: FloatArray) -> FloatArray:
         """Prior mean at `u` (n, m), shape (n,)."""
-        plane = self.constant + self.slope * u.sum(axis=1) / math.sqrt(u.shape[1])
+        plane: FloatArray = self.constant + self.slope * u.sum(axis=1) / math.sqrt(u.shape[1])
         return math.sqrt(self.variance) * plane
 
     def covariance(self, u: FloatArray, v: FloatArray) -> FloatArray:
@@ -55,11 +55,13 @@ class Prior:
         squares = (u**2).sum(axis=1)[:, None] + (v**2).sum(axis=1) - 2 * product
         # rounding may leave -1e-16 in a squared distance
         smooth = np.exp(np.maximum(squares, 0.0) / (-2 * self.length**2))
-        return self.variance * (self.linear * (1 + product) + self.bump * smooth)
+        kernel: FloatArray = self.linear * (1 + product) + self.bump * smooth
+        return self.variance * kernel
 
     def variances(self, u: FloatArray) -> FloatArray:
         """Prior variance at `u` (n, m), shape (n,)."""
-        return self.variance * (self.linear * (1 + (u**2).sum(axis=1)) + self.bump)
+        kernel: FloatArray = self.linear * (1 + (u**2).sum(axis=1)) + self.bump
+        return self.variance * kernel
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +162,7 @@ def fit_surrogate(
         if moved.max() < SWEEP_TOLERANCE:
             break
     score = float(log_ndtr(z).sum())
-    return _predictor(u, prior, sites, covariance, mean, score)
+    return _predictor(u, prior, sites, covariance=covariance, mean=mean, score=score)
 
 
 def _damped(old: FloatArray, new: FloatArray) -> FloatArray:
@@ -178,7 +180,8 @@ def _start(signs: FloatArray, mean: FloatArray, prior: Prior, warm: Sites | None
 
 def _factor(covariance: FloatArray, tau: FloatArray) -> FloatArray:
     s = np.sqrt(tau)
-    return np.linalg.cholesky(np.eye(len(tau)) + s[:, None] * covariance * s)
+    scaled: FloatArray = np.eye(len(tau)) + s[:, None] * covariance * s
+    return np.asarray(np.linalg.cholesky(scaled), dtype=np.float64)
 
 
 def _posterior(covariance: FloatArray, mean: FloatArray, sites: Sites) -> _Posterior:
@@ -210,6 +213,7 @@ def _predictor(
     u: FloatArray,
     prior: Prior,
     sites: Sites,
+    *,
     covariance: FloatArray,
     mean: FloatArray,
     score: float,

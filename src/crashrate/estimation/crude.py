@@ -1,6 +1,7 @@
 """Crude Monte Carlo: random encounters, for when exploration finds no crash."""
 
 from collections.abc import Generator
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import betaincinv
@@ -23,8 +24,8 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
     """
     rng, n_safe, n_failed = problem.rng(1_000_000), 0, 0
     while labels.n < problem.max_calls:
-        n = min(problem.batch_size, problem.max_calls - labels.n)
-        x = problem.traffic.sample(n, rng)
+        # drawn whole and then cut, so that a larger budget goes on with the same draws
+        x = problem.traffic.sample(problem.batch_size, rng)[: problem.max_calls - labels.n]
         y = yield Query(x, _nothing(problem, labels, n_safe, n_failed))
         labels = labels.add(x, y)
         if (y == 1).any():
@@ -32,7 +33,7 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
         n_failed += int(np.isnan(y).sum())
         n_safe += int((y == 0).sum())
     end = _nothing(problem, labels, n_safe, n_failed)
-    return Snapshot(**{**vars(end), "stop_reason": StopReason.BUDGET_ENDED})
+    return replace(end, stop_reason=StopReason.BUDGET_ENDED)
 
 
 def _nothing(problem: Problem, labels: Labels, n_safe: int, n_failed: int) -> Snapshot:

@@ -98,13 +98,18 @@ class Estimate:
     def sentence(self, event: str = "crash", per: str = "lane change") -> str:
         """The answer in one sentence."""
         low, high = self.interval
-        head = f"P({event}) = {self.probability:.1e} per {per}"
-        if not self.probability > 0:
-            head = f"P({event}) is not determined: no {event} was seen"
         return (
-            f"{head}, {100 * self.confidence:g} % interval [{low:.1e}, {high:.1e}]"
-            f"{self._relative()}; {self.n_calls} simulator runs{self._crude()}"
+            f"{self._head(event, per)}, {100 * self.confidence:g} % interval "
+            f"[{low:.1e}, {high:.1e}]{self._relative()}; "
+            f"{self.n_calls} simulator runs{self._crude()}"
         )
+
+    def _head(self, event: str, per: str) -> str:
+        if self.probability > 0:
+            return f"P({event}) = {self.probability:.1e} per {per}"
+        if self.n_crashes:
+            return f"P({event}) has no estimate yet"
+        return f"P({event}) is not determined: no {event} was seen"
 
     def _relative(self) -> str:
         relative = self.relative_half_width

@@ -100,7 +100,8 @@ def _factors(inflation: float) -> tuple[float, ...]:
 
 def danger(u: FloatArray) -> FloatArray:
     """Minimum over coordinates of the rank of `u` (n, m), shape (n,): a chain through the set."""
-    return np.argsort(np.argsort(u, axis=0), axis=0).min(axis=1)
+    ranks = np.argsort(np.argsort(u, axis=0), axis=0)
+    return np.asarray(ranks.min(axis=1))
 
 
 def _inflate(

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from crashrate.crash_set.bounds import probability_bounds
 from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.settling import Settled, settle
 from crashrate.estimation.strategy import Problem, Query, Snapshot
@@ -36,8 +36,6 @@ UNDECIDED_LIMIT = 50.0
 # the normal interval is not looked at before the estimate rests on as many equal crashes
 MIN_N_EFF = 10.0
 N_BOUNDS = 20_000
-# corners beyond which the exact bounds would take longer than the sampling
-MAX_EXACT = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,8 +301,7 @@ def _bounds(problem: Problem, state: State) -> tuple[float, float]:
     learned, order, traffic = state.labels.learned, problem.order, problem.traffic
     if learned is None or order is None:
         return 0.0, 1.0
-    few = len(learned.corners) <= MAX_EXACT
-    exact = probability_bounds(learned, order, traffic) if few else None
+    exact = exact_bounds(problem, state.labels)
     if exact is not None:
         return exact
     x = state.proposal.sample(N_BOUNDS, problem.rng(BOUNDING + state.iteration))

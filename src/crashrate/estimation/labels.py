@@ -1,10 +1,12 @@
 """What the simulator has said so far, and what follows from it through the risk order."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
+from crashrate.crash_set.fronts import above_any, below_any, maximal, minimal
 from crashrate.crash_set.monotone_set import Label, MonotoneSet
 from crashrate.crash_set.order import RiskOrder
 from crashrate.estimation.strategy import Problem
@@ -74,12 +76,31 @@ class Labels:
     @property
     def crashes(self) -> FloatArray:
         """Situations that crashed, shape (k, d)."""
-        return self.x[self.y == 1]
+        return np.asarray(self.x[self.y == 1])
 
     @property
     def contradictions(self) -> int:
         """Outcomes that another outcome contradicts through the order."""
         return 0 if self.learned is None else self.learned.contradictions
+
+    def presumed(self, u: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """The same with contradicted outcomes counted too, where no other says the opposite.
+
+        A set with ripples at its edge contradicts the order there, and nowhere else: giving up all
+        that such an outcome implies would cost many runs far from the edge. Not for bounds.
+        """
+        crash, safe = np.zeros(len(u), dtype=bool), np.zeros(len(u), dtype=bool)
+        if self.learned is not None:
+            crash, safe = above_any(u, self._least_crashes), below_any(u, self._most_safe)
+        return crash & ~safe, safe & ~crash
+
+    @cached_property
+    def _least_crashes(self) -> FloatArray:
+        return minimal(self.u[self.y == 1])
+
+    @cached_property
+    def _most_safe(self) -> FloatArray:
+        return maximal(self.u[self.y == 0])
 
     def implied(self, u: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Which of `u` (n, m) are implied to crash, and which to be safe."""

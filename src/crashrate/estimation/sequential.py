@@ -15,6 +15,7 @@ from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.crude import crude
+from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import Explored, explore, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import (
@@ -49,7 +50,7 @@ MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 KERNELS = tuple(
     (bump, length, variance)
-    for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0))
+    for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
     for variance in (1e3, 1e4)
 )
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
@@ -103,8 +104,11 @@ def sequential(problem: Problem) -> Learner:
         state, view = yield from _round(problem, state, snapshot)
         snapshot = _snapshot(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING:
-            return snapshot
-    return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
+            break
+    else:
+        snapshot = replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
+    exact = exact_bounds(problem, state.labels)
+    return snapshot if exact is None else replace(snapshot, bounds=exact)
 
 
 def _begin(problem: Problem, explored: Explored) -> State:

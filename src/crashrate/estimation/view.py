@@ -1,5 +1,6 @@
 """A pool seen through the outcomes so far: the probability that each of its draws crashes."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,18 +11,18 @@ from crashrate.estimation.labels import Labels
 from crashrate.sampling.pool import Pool
 from crashrate.variables import BoolArray, FloatArray
 
-# Least scale of the surrogate's coordinates, over the spread of the pool: a single coordinate's edge
-# is soon known so well that earlier runs would lie 10⁵ scales away, beyond double precision.
+# Least scale of the surrogate's coordinates, over the spread of the pool: a single coordinate's
+# edge is soon known so well that earlier runs would lie 10⁵ scales away, beyond double precision.
 MIN_SCALE = 0.01
 UNSURE = 1e-9  # a surrogate is never certain
 FAR = 1e-3  # without an order, what the surrogate holds below this is taken as safe …
 FAR_PROBABILITY = 1e-14  # … (NO_ORDER alarm): its tails are the prior's, not the data's
 OBJECTION = 0.5  # an implied label counts unless the surrogate holds the opposite likelier
 # Within this distance of the surrogate's edge (standardised coordinates) an implied outcome keeps
-# at least this much doubt, so that it is simulated now and then. Certainty would lose the crashes of
-# a set that is monotone but for ripples at its edge: 2 % of the probability of the ACC+AEB plant
+# at least this much doubt, so that it is simulated now and then. Certainty would lose the crashes
+# of a set that is monotone but for ripples at its edge: 2 % of the probability of the ACC+AEB plant
 # (its 0.1 s control step). A smooth edge has next to no mass implied so near, and pays nothing.
-EDGE, EDGE_DOUBT = 0.1, 0.02
+EDGE, EDGE_DOUBT = 0.1, 0.01
 # exponents of the traffic density and of h (1-h) where outcomes teach most about the crash set
 LEARN_DENSITY, LEARN_VARIANCE = 0.2, 3.0
 
@@ -57,9 +58,9 @@ class View:
     surrogate_h : ndarray, shape (n,)
         The surrogate's, everywhere.
     inner, safe : ndarray of bool, shape (n,)
-        Implied to crash, implied to be safe, and the surrogate does not object.
+        Presumed to crash, presumed to be safe, and the surrogate does not object.
     implied_inner, implied_safe : ndarray of bool, shape (n,)
-        The same whatever the surrogate says: for the bounds.
+        Implied by outcomes that nothing contradicts, whatever the surrogate says: for the bounds.
     """
 
     pool: Pool
@@ -101,7 +102,7 @@ class View:
         """Distribution over draws, ∝ f^0.2 (h (1-h))³ / q: where outcomes teach most."""
         doubt = np.maximum(self.h * (1 - self.h), 1e-300)
         log = LEARN_DENSITY * self.pool.log_f + LEARN_VARIANCE * np.log(doubt) - self.pool.log_q
-        return normalised(np.exp(log - log.max()))
+        return normalised(np.exp(log - np.max(log)))
 
     @cached_property
     def target(self) -> FloatArray:
@@ -117,7 +118,8 @@ class View:
     def _mass(self, member: BoolArray) -> tuple[float, float]:
         part = self.weights[member]
         total = float(part.sum())
-        return total, float(np.sqrt(max(part @ part - total**2 / self.pool.n_drawn, 0.0)))
+        square = max(float(part @ part) - total**2 / self.pool.n_drawn, 0.0)
+        return total, math.sqrt(square)
 
 
 def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardiser) -> View:
@@ -125,7 +127,8 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     crash, safe = labels.implied(pool.u)
     seen = surrogate.predict(standardise(pool.u))
     raw = np.clip(seen.probability, UNSURE, 1 - UNSURE)
-    inner, outside = crash & (raw > 1 - OBJECTION), safe & (raw < OBJECTION)
+    presumed_crash, presumed_safe = labels.presumed(pool.u)
+    inner, outside = presumed_crash & (raw > 1 - OBJECTION), presumed_safe & (raw < OBJECTION)
     h = np.where(inner, 1.0, np.where(outside, 0.0, raw))
     edge = (inner | outside) & (np.abs(seen.danger) < EDGE)
     h = np.where(edge, np.clip(raw, EDGE_DOUBT, 1 - EDGE_DOUBT), h)

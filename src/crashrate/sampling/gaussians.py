@@ -31,7 +31,7 @@ class Gaussians:
 
     @cached_property
     def _chol(self) -> FloatArray:
-        return np.linalg.cholesky(self.covariances)
+        return np.asarray(np.linalg.cholesky(self.covariances), dtype=np.float64)
 
     @cached_property
     def _inverse_chol(self) -> FloatArray:
@@ -41,11 +41,13 @@ class Gaussians:
     @cached_property
     def _log_constants(self) -> FloatArray:
         log_det = np.log(np.diagonal(self._chol, axis1=1, axis2=2)).sum(axis=1)
-        return np.log(self.weights) - log_det - 0.5 * self.means.shape[1] * math.log(2 * math.pi)
+        constants = np.log(self.weights) - log_det
+        return np.asarray(constants - 0.5 * self.means.shape[1] * math.log(2 * math.pi))
 
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log density at `x` (n, d), shape (n,)."""
-        return logsumexp(self.log_component_densities(x), axis=1)
+        log_density: FloatArray = logsumexp(self.log_component_densities(x), axis=1)
+        return log_density
 
     def log_component_densities(self, x: FloatArray) -> FloatArray:
         """Log of weight × density of each component at `x` (n, d), shape (n, K)."""

@@ -48,7 +48,9 @@ class Blend:
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log density at `x` (n, d), shape (n,)."""
         parts = zip(self.shares, self.densities, strict=True)
-        return logsumexp(np.stack([np.log(s) + d.log_density(x) for s, d in parts]), axis=0)
+        logs = np.stack([np.log(s) + d.log_density(x) for s, d in parts])
+        log_density: FloatArray = logsumexp(logs, axis=0)
+        return log_density
 
 
 @dataclass(frozen=True)
