@@ -142,6 +142,22 @@ def test_strong_correlation(rho, box):
         assert got == pytest.approx(np.log(value), rel=1e-8)
 
 
+def test_a_turned_box_whose_variables_are_nearly_one():
+    # {closing speed >= 40 m/s} in (v, 1/R, 1/TTC) is a box after a turn that leaves 1/R and the
+    # new coordinate correlated by -0.9998: the saddle point's tilt is large, its z is not.
+    factor = np.array([[1, 0, 0], [-1.5353, 1, 0], [46.4176, -30.4523, 1]])
+    lower, upper = np.array([0.60828, 0.32723, -3.35952]), np.array([0.95392, INF, INF])
+    got = log_box_probability(np.zeros(3), factor @ factor.T, lower, upper)[0]
+    x, w = np.polynomial.legendre.leggauss(200)
+    z0 = lower[0] + 0.5 * (upper[0] - lower[0]) * (1 + x)
+    start = lower[1] + 1.5353 * z0
+    z1 = start[:, None] + 1.5 * (1 + x)  # three standard deviations beyond the side: all of it
+    last = log_ndtr(-(lower[2] - 46.4176 * z0[:, None] + 30.4523 * z1))
+    logs = last - 0.5 * z1**2 - 0.5 * z0[:, None] ** 2 - np.log(2 * np.pi)
+    sums = np.exp(logs - logs.max()) * w * 1.5 * (w * 0.5 * (upper[0] - lower[0]))[:, None]
+    assert got == pytest.approx(logs.max() + np.log(sums.sum()), abs=1e-8)
+
+
 def test_batches_are_the_single_boxes():
     rng = np.random.default_rng(7)
     means = rng.normal(size=(6, 3))

@@ -83,6 +83,13 @@ class Stretch:
     left: FloatArray
     right: FloatArray
 
+    def split(self, breaks: FloatArray) -> "Stretch":
+        """The stretch cut at offsets `breaks` (..., m): m + 1 panels, empty ones where outside."""
+        left, right = self.left[..., None], self.right[..., None]
+        inside = np.sort(np.clip(breaks, left, right), axis=-1)
+        edges = np.concatenate([left, inside, right], axis=-1)
+        return Stretch(self.mode[..., None], edges[..., :-1], edges[..., 1:])
+
     def nodes(self, n: int) -> tuple[FloatArray, FloatArray]:
         """Offsets from the mode (..., n) and log weights (..., n) of a Gauss-Legendre rule."""
         x, weights = gauss_legendre(n)
@@ -94,10 +101,15 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Gauss-Legendre nodes per dimension, and how far the log density may fall where they end."""
+    """Gauss-Legendre nodes per stretch, and how far the log density may fall where it ends.
+
+    With `split` a stretch is cut where the probability of a later link has its step, which
+    strong correlation makes steep: nodes crowd at the ends of the panels, so they resolve it.
+    """
 
     n: int
     log_drop: float
+    split: bool = False
 
 
 # exp(-35) = 6e-16: what lies beyond is rounding; 40 nodes are as good on the widest stretch.

@@ -1,5 +1,6 @@
 """Integration nodes over a truncated normal: tensor or Sobol, the last link exact."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -18,9 +19,12 @@ from crashrate.traffic.one_dimension import (
 from crashrate.traffic.tilting import Chain, IntArray, Tilting, saddle_points
 from crashrate.variables import BoolArray, FloatArray
 
-# Gauss-Legendre nodes per dimension, refined until two rungs agree; each rung is good to about
-# the square of what the difference from the one before shows.
-_RUNGS = (14, 24, 48, 96, 192, 288)
+# Refined until two rungs agree; each is good to about the square of what the difference from the
+# one before shows. Where plain rules do not settle, the integrand has a steep step: split there.
+_RUNGS = (
+    *(Rule(n, FINE.log_drop) for n in (14, 24, 48)),
+    *(Rule(n, FINE.log_drop, split=True) for n in (14, 24, 48, 96)),
+)
 _AGREEMENT = 1e-6
 _LAST_AGREEMENT = 1e-4
 _MAX_RESIDUAL = 1e-3  # of a saddle point that still tells where the mass is
@@ -80,15 +84,37 @@ def tensor_nodes(chain: Chain, tilting: Tilting, rule: Rule) -> Nodes:
         stretch = effective_stretch(
             chain.lower[:, i, None] - shift, chain.upper[:, i, None] - shift, rule.log_drop
         )
-        offsets, log_step = stretch.nodes(rule.n)
-        z = tilting.tilt[:, i, None, None] + stretch.mode[..., None] + offsets
+        start = tilting.tilt[:, i, None] + stretch.mode
+        if rule.split:
+            steps = _steps(chain, tilting, points, i)
+            stretch = stretch.split(steps - start[..., None])
+        offsets, log_step = (v.reshape(*start.shape, -1) for v in stretch.nodes(rule.n))
+        z = start[..., None] + offsets
         log_weight = (log_weight[..., None] + log_step - 0.5 * z * z - LOG_SQRT_2PI).reshape(
             n_boxes, -1
         )
         points = np.concatenate(
-            [np.repeat(points, rule.n, axis=1), z.reshape(n_boxes, -1, 1)], axis=2
+            [np.repeat(points, z.shape[2], axis=1), z.reshape(n_boxes, -1, 1)], axis=2
         )
     return _close(chain, points, log_weight)
+
+
+def _steps(chain: Chain, tilting: Tilting, points: FloatArray, i: int) -> FloatArray:
+    """Where in link i (B, n, m) the intervals of later links begin and end.
+
+    Links between are taken at the saddle point.
+    """
+    steps = []
+    for j in range(i + 1, chain.shape[1]):
+        before = np.einsum("bni,bi->bn", points, chain.coupling[:, j, :i])
+        between = np.einsum(
+            "bk,bk->b", chain.coupling[:, j, i + 1 : j], tilting.point[:, i + 1 : j]
+        )
+        slope = chain.coupling[:, j, i, None]
+        for side in (chain.lower[:, j], chain.upper[:, j]):
+            gap = (side - between)[:, None] - before
+            steps.append(np.divide(gap, slope, out=np.full_like(gap, np.inf), where=slope != 0.0))
+    return np.stack(steps, axis=-1)
 
 
 def sobol_nodes(chain: Chain, tilting: Tilting, log2_points: int = _SOBOL_LOG2) -> Nodes:
@@ -148,12 +174,12 @@ def refined_nodes(chain: Chain) -> Iterator[tuple[IntArray, Nodes]]:
             yield group, sobol_nodes(chain.take(group), tilting.take(group))
         return
     log_p = np.full(n_boxes, 0.0 if d == 1 else np.nan)  # one link is exact on any rung
-    for n in _RUNGS:
+    for rule in _RUNGS:
         unsettled = []
-        for group in _groups(pending, n ** (d - 1) * d):
-            nodes = tensor_nodes(chain.take(group), tilting.take(group), Rule(n, FINE.log_drop))
+        for group in _groups(pending, _n_nodes(rule, d) * d):
+            nodes = tensor_nodes(chain.take(group), tilting.take(group), rule)
             new = nodes.log_probability()
-            enough = _LAST_AGREEMENT if n == _RUNGS[-1] else _AGREEMENT
+            enough = _LAST_AGREEMENT if rule is _RUNGS[-1] else _AGREEMENT
             settled = (np.abs(new - log_p[group]) < enough) | (d == 1)
             settled &= tilting.residual[group] < _MAX_RESIDUAL
             log_p[group] = new
@@ -164,9 +190,15 @@ def refined_nodes(chain: Chain) -> Iterator[tuple[IntArray, Nodes]]:
             return
     raise NumericalError(
         f"box probability: {len(pending)} of {n_boxes} integrals had not settled with "
-        f"{_RUNGS[-1]} nodes per dimension; the covariance is close to singular, so drop or "
+        f"{_n_nodes(_RUNGS[-1], d)} nodes; the covariance is close to singular, so drop or "
         "rescale a variable that the others determine."
     )
+
+
+def _n_nodes(rule: Rule, d: int) -> int:
+    """Nodes of a box: of link i, with a panel more for each side of each later link."""
+    panels = (1 + 2 * (d - 1 - i) if rule.split else 1 for i in range(d - 1))
+    return math.prod(rule.n * n for n in panels)
 
 
 def _groups(boxes: IntArray, n_numbers: int) -> list[IntArray]:

@@ -173,8 +173,10 @@ def _swap_links(j: int, pick: IntArray, arrays: Sequence[npt.NDArray[Any]]) -> N
 def saddle_points(chain: Chain) -> Tilting:
     """The saddle point of psi for every chain, by Newton's method with step halving.
 
-    psi is concave in z and convex in the tilt, so Newton's direction always lowers the norm of
-    the gradient; a chain whose search stalls keeps its best point and shows it in `residual`.
+    A step is good when the next one, foreseen with the same Hessian, is shorter: unlike the norm
+    of the gradient this does not depend on the scales of z and tilt, which strong correlation
+    drives far apart (Deuflhard 2011, "Newton Methods for Nonlinear Problems", section 3.3). A
+    chain whose search stalls keeps its best point and shows it in `residual`.
     """
     n_boxes, d = chain.shape
     # Inside the box, where the first Newton steps already see its sides.
@@ -206,19 +208,21 @@ def _expected(chain: Chain) -> FloatArray:
 def _line_search(
     chain: Chain, boxes: IntArray, step: FloatArray, at: tuple[FloatArray, ...]
 ) -> BoolArray:
-    """Move each of `boxes` by its step, halved until its gradient shrinks; which ones moved.
+    """Move each of `boxes` by its step, shortened until the next one shrinks; which moved.
 
     `at` holds state, gradient, Hessian and value of all boxes; those that move are updated.
     """
-    state, gradient, _, _ = at
-    norm = (gradient[boxes] ** 2).sum(axis=1)
+    state, _, hessian, _ = at
+    jacobian = hessian[boxes]
+    norm = (step**2).sum(axis=1)
     start = state[boxes]
     scale = np.ones(len(boxes))
     left = np.arange(len(boxes))
     for _ in range(_MAX_HALVINGS):
         trial = start[left] - scale[left, None] * step[left]
         found = (trial, *_psi(chain.take(left), trial))
-        better = (found[1] ** 2).sum(axis=1) < norm[left]
+        correction = np.linalg.solve(jacobian[left], found[1][..., None])[..., 0]
+        better = (correction**2).sum(axis=1) < norm[left]
         for array, new in zip(at, found, strict=True):
             array[boxes[left[better]]] = new[better]
         left = left[~better]
