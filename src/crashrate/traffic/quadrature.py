@@ -22,8 +22,8 @@ from crashrate.variables import BoolArray, FloatArray
 # Refined until two rungs agree; each is good to about the square of what the difference from the
 # one before shows. Where plain rules do not settle, the integrand has a steep step: split there.
 _RUNGS = (
-    *(Rule(n, FINE.log_drop) for n in (14, 24, 48)),
-    *(Rule(n, FINE.log_drop, split=True) for n in (14, 24, 48, 96)),
+    *(Rule(n, FINE.log_drop) for n in (14, 24, 48, 96)),
+    *(Rule(n, FINE.log_drop, split=True) for n in (24, 48, 96)),
 )
 _AGREEMENT = 1e-6
 _LAST_AGREEMENT = 1e-4
