@@ -155,6 +155,20 @@ def test_scatter_widens_the_interval():
     assert wild.half_width > 5 * calm.half_width
 
 
+def test_a_round_that_predicted_far_too_much_is_noise():
+    usual = [round_of(e, 1e-4, predicted=0.1) for e in (0.11, 0.09, 0.1, 0.1)]
+    wild = round_of(-0.4, 1.0, predicted=7.0)  # a smaller coefficient of variation than the others
+    got, without = combine([*usual, wild], 0.95), combine(usual, 0.95)
+    assert got.estimate == pytest.approx(without.estimate, abs=0.002)
+    assert got.half_width < 1.1 * without.half_width
+
+
+def test_rounds_are_weighted_by_their_coefficient_of_variation():
+    # half the mass at half the deviation: no better, and no more weight
+    rounds = [round_of(0.1, 1e-4, predicted=0.1), round_of(0.05, 0.25e-4, predicted=0.05)]
+    assert combine(rounds, 0.95).estimate == pytest.approx(0.075)
+
+
 def test_surprising_draws_widen_the_interval():
     calm = combine([round_of(0.5, 1e-3) for _ in range(4)], 0.95)
     surprised = combine([round_of(0.5, 1e-3, squares=9e-3) for _ in range(4)], 0.95)

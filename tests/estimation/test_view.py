@@ -117,3 +117,14 @@ def test_distributions_over_draws(toy_view):
     expected = np.sqrt(view.h[1] / view.h[0]) * view.weights[1] / view.weights[0]
     assert ratio == pytest.approx(expected)
     assert normalised(np.zeros(4)).tolist() == [0.25] * 4
+
+
+def test_contradicted_outcomes_are_presumed_where_no_other_says_the_opposite(cases):
+    # the safe (1, 1) contradicts the crash (0, 0), which implies nothing for certain any more
+    labels = labelled(cases.half_plane(0.2), [[0.0, 0.0], [1.0, 1.0]], [1, 0])
+    u = np.array([[2.0, 0.5], [2.0, 2.0], [0.5, 0.5], [-1.0, -1.0], [-1.0, 0.5], [-1.0, 2.0]])
+    crash, safe = labels.presumed(u)
+    assert crash.tolist() == [True, True, False, False, False, False]
+    assert safe.tolist() == [False, False, False, True, True, False]
+    implied_crash, implied_safe = labels.implied(u)
+    assert not (implied_crash | implied_safe).any()

@@ -21,6 +21,7 @@ from crashrate.variables import FloatArray
 PRIOR_ROUNDS = 4
 PRIOR_DRAWS = 20
 MIN_ROUNDS = 4
+MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,9 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     """Rounds weighted by the inverse square of their predicted coefficient of variation.
 
     (Not of the variance: a pool that happens to hold too little crash mass predicts a smaller
-    variance and a lower estimate at once, and weights that prefer it bias the mean downwards.)
+    variance and a lower estimate at once, and weights that prefer it bias the mean downwards. But a
+    surrogate that for one round predicts many times the usual is wrong, and its round is noise: its
+    variance counts as it is.)
 
     The interval is Student's, with the predicted variance inflated by what was seen: by the Birge
     ratio (Birge 1932) of the rounds' scatter to the predicted one, or by the ratio of the draws'
@@ -124,7 +127,7 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     by 1.3 in standard deviation), and the few rounds' own scatter alone under-covers.
     """
     variance = np.array([r.variance for r in rounds])
-    share = normalised(np.array([r.predicted**2 for r in rounds]) / variance)
+    share = _shares(np.array([r.predicted for r in rounds]), variance)
     estimates = np.array([r.estimate for r in rounds])
     center = float(share @ estimates)
     squares = (estimates - center) ** 2 / variance
@@ -145,6 +148,11 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         scatter=float(squares.mean()),
         largest_share=largest / center if center > 0 else 1.0,
     )
+
+
+def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:
+    usual = float(np.median(predicted))
+    return normalised(np.minimum(predicted, MAX_PREDICTED * usual) ** 2 / variance)
 
 
 def _surprise(rounds: Sequence[Round], share: FloatArray, predicted: float) -> float:
