@@ -1,7 +1,7 @@
 """Rare-event problems whose probability is known: exactly, or better than any campaign knows it.
 
-A, B, C, D are monotone (Gaussian mixtures, two to six variables); ``disc`` is not; ``cut-in`` is
-the published traffic model with the ACC + AEB vehicle under test.
+A, B, C, D and ``corner`` are monotone (Gaussian mixtures, two to six variables); ``disc`` is not;
+``cut-in`` is the published traffic model with the ACC + AEB vehicle under test.
 """
 
 import math
@@ -194,9 +194,19 @@ def lognormal_sum() -> Benchmark:
     traffic = _standard_normal(6)
 
     def crash(x: Rows) -> Outcomes:
-        return np.exp(x * exponents).sum(axis=1) >= 17.25
+        return np.asarray(np.exp(x * exponents).sum(axis=1) >= 17.25)
 
     return Benchmark(traffic, _order(traffic, *["increasing"] * 6), crash, 9.432762980128471e-07)
+
+
+def corner() -> Benchmark:
+    """Both of two standard normals above 3.09: monotone, with an edge no plane comes near; 1e-6."""
+    traffic = _standard_normal(2)
+
+    def crash(x: Rows) -> Outcomes:
+        return np.all(x >= 3.090232306167813, axis=1)  # Φ(-3.09…) = 1e-3
+
+    return Benchmark(traffic, _order(traffic, *["increasing"] * 2), crash, 1e-6)
 
 
 def disc(*, ordered: bool = False) -> Benchmark:
@@ -248,6 +258,7 @@ PROBLEMS: Mapping[str, Callable[[], Benchmark]] = {
     "B": three_corners,
     "C": follower,
     "D": lognormal_sum,
+    "corner": corner,
     "disc": disc,
     "disc, wrong order": lambda: disc(ordered=True),
     "cut-in": cut_in,
