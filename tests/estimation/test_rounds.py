@@ -194,6 +194,12 @@ def test_an_estimate_above_one_is_one():
     assert got.lower == pytest.approx(1.002 - got.half_width)
 
 
+def test_an_estimate_below_zero_is_zero():
+    got = combine([round_of(-0.1, 0.01)], 0.95)
+    assert got.estimate == got.lower == 0.0
+    assert got.upper == pytest.approx(-0.1 + got.half_width)
+
+
 def test_a_larger_confidence_is_a_wider_interval():
     rounds = [round_of(0.5, 0.001) for _ in range(5)]
     assert combine(rounds, 0.99).half_width > combine(rounds, 0.9).half_width

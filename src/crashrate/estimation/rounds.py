@@ -94,9 +94,9 @@ class Combined:
     Parameters
     ----------
     estimate, standard_error, half_width : float
-        `half_width` at the confidence asked for.
+        `half_width` at the confidence asked for; `estimate` within [0, 1].
     lower, upper : float
-        The interval, not below zero; failed simulations counted either way.
+        The interval within [0, 1]; failed simulations counted either way.
     scatter : float
         Mean squared deviation of the rounds over their predicted variance: about 1.
     largest_share : float
@@ -140,7 +140,8 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     highest = float(share @ np.array([r.highest for r in rounds]))
     largest = float((share * np.array([r.largest for r in rounds])).max())
     return Combined(
-        estimate=min(center, 1.0),  # a corrected sum may exceed 1; no probability does
+        # a corrected sum may leave [0, 1]; the nearest probability is nearer to the truth
+        estimate=min(max(center, 0.0), 1.0),
         standard_error=error,
         half_width=half_width,
         lower=max(lowest - half_width, 0.0),
