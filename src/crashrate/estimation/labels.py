@@ -83,6 +83,20 @@ class Labels:
         """Outcomes that another outcome contradicts through the order."""
         return 0 if self.learned is None else self.learned.contradictions
 
+    def contradicted_deeper(self, depth: float, scale: FloatArray) -> int:
+        """Outcomes contradicted by more than `depth` times `scale` (m,) in every coordinate.
+
+        A ripple at the edge of the crash set contradicts the order by no more than its own size;
+        an order that is wrong contradicts itself as deep as the runs reach.
+        """
+        if self.learned is None or not self.contradictions:
+            return 0
+        u = self.learned.u[self.learned.contradicted] / scale
+        crash = self.learned.crash[self.learned.contradicted]
+        gap = (u[~crash][None] - u[crash][:, None]).min(axis=2)  # safe minus crash
+        deep = gap > depth
+        return int(deep.any(axis=0).sum() + deep.any(axis=1).sum())
+
     def presumed(self, u: FloatArray) -> tuple[BoolArray, BoolArray]:
         """The same with contradicted outcomes counted too, where no other says the opposite.
 

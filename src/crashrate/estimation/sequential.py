@@ -42,7 +42,9 @@ SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), i
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
 GREEDY_SHARE = 0.4
-MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE = 6, 0.1
+# The order is dropped when more outcomes than this contradict it by more than a ripple at the crash
+# set's edge (in the surrogate's standardised coordinates) would.
+MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE, RIPPLE = 6, 0.1, 0.25
 SCATTER_LIMIT = 3.0
 SHARE_LIMIT = 0.25
 UNDECIDED_LIMIT = 50.0
@@ -53,6 +55,7 @@ KERNELS = tuple(
     for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
     for variance in (1e3, 1e4)
 )
+Kernel = tuple[float, float, float]
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
 
 Learner = Generator[Query, FloatArray, Snapshot]
@@ -60,12 +63,24 @@ Learner = Generator[Query, FloatArray, Snapshot]
 
 @dataclass(frozen=True)
 class Model:
-    """The surrogate's standing: its kernel, the sites of each kernel tried, its coordinates."""
+    """The surrogate's standing.
+
+    Parameters
+    ----------
+    standardise : Standardiser
+        Its coordinates.
+    best : tuple of float
+        The kernel in use.
+    n_chosen : int
+        Labels when the kernel was last chosen.
+    warm : tuple
+        The sites of each kernel's last fit.
+    """
 
     standardise: Standardiser
-    best: tuple[float, float, float] = KERNELS[0]
+    best: Kernel = KERNELS[0]
     n_chosen: int = 0
-    warm: tuple[tuple[tuple[float, float, float], Sites], ...] = ()
+    warm: tuple[tuple[Kernel, Sites], ...] = ()
 
     def forgetting(self) -> Self:
         """Without sites: the labels they belong to changed."""
@@ -211,14 +226,13 @@ def _fit(state: State) -> tuple[Surrogate, Model]:
     return fits[best], replace(model, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
 
 
-def _prior(kernel: tuple[float, float, float], state: State) -> Prior:
+def _prior(kernel: Kernel, state: State) -> Prior:
     bump, length, variance = kernel
     length *= np.sqrt(state.labels.u.shape[1] / 3)
     if state.ordered:
         return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
     # without an order no direction is riskier, and far from any crash is safe
-    linear = 0.1 if state.dropped else 0.01
-    return Prior(bump, length, variance, linear=linear, slope=0.0, constant=-4.0)
+    return Prior(bump, length, variance, linear=0.01, slope=0.0, constant=-4.0)
 
 
 def _aim(problem: Problem, view: View, state: State, rng: np.random.Generator) -> Density:
@@ -236,7 +250,7 @@ def _distrust(state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
     labels = state.labels
     limit = max(MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE * labels.n)
-    if labels.contradictions > limit:
+    if labels.contradicted_deeper(RIPPLE, state.model.standardise.scale) > limit:
         model = state.model.forgetting()
         return replace(state, labels=labels.without_order(), rounds=(), dropped=True, model=model)
     if len(state.ordinary) and view.probability * 1000 > ORDINARY_CRASHES:
