@@ -30,8 +30,7 @@ def test_python_code_runs(capsys):
         exec(compile(code, "README.md", "exec"), names)  # noqa: S102
     printed = capsys.readouterr().out
     assert printed.startswith("P(crash) = ")
-    low, high = names["result"].interval
-    assert 0 < low < 1.976e-6 < high < 1e-4
+    assert 1e-6 < names["result"].probability < 4e-6  # 1.976e-6; coverage is tested elsewhere
     assert names["campaign"].done
 
 

@@ -227,7 +227,7 @@ def test_rendering_is_quick(build):
 
 
 def test_an_interval_of_no_width(build, estimate):
-    exact = estimate(interval=(1.976e-6, 1.976e-6), stop_reason=StopReason.IMPOSSIBLE, history=())
+    exact = estimate(interval=(1.976e-6, 1.976e-6), stop_reason=StopReason.TARGET_MET, history=())
     page = Page(render_report(build(estimate=exact)))
     assert "every situation is decided" in page.text
     assert not re.search(r"\b(nan|None|inf|inf trillion)\b", page.text)

@@ -26,8 +26,8 @@ class Alarm(StrEnum):
         "situations, and the bounds P(inner), P(outer) hold only where the order does"
     )
     ORDER_DROPPED = (
-        "too many outcomes contradict the declared risk order: it was dropped and the estimation "
-        "started again without it"
+        "the declared risk order was dropped: its most dangerous situations were safe, or too many "
+        "outcomes contradict it; the estimate was made without it"
     )
     NO_ORDER = (
         "no risk order is in use: crash regions that no run came near are taken as safe, and "
@@ -51,4 +51,3 @@ class StopReason(StrEnum):
     TARGET_MET = "the target was met"
     BUDGET_ENDED = "the budget of simulator runs ended"
     DRAWS_ENDED = "the budget of draws from the proposal ended"
-    IMPOSSIBLE = "nothing is left to simulate: every situation is decided"

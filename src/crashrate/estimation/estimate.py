@@ -35,7 +35,8 @@ class Estimate:
     standard_error : float
         Of `probability`.
     bounds : (float, float)
-        P(inner) ≤ p ≤ P(outer): hold if the risk order is exact; (0, 1) without one.
+        P(inner) ≤ p ≤ P(outer): hold if the risk order is exact; (0, 1) without one. Exact at the
+        end where the risk coordinates allow it; else drawn, two standard errors to the safe side.
     n_calls, n_crashes, n_failed : int
         Simulator runs, those that crashed, those that failed.
     n_eff : float

@@ -188,6 +188,6 @@ def _check_ordinary(
         worst = int(np.argmax(danger(u)))
         if not labels.implied(u[worst : worst + 1])[1][0]:
             labels = yield from ask(problem, labels, ranked[worst : worst + 1])
-            if labels.y[-1] == 1:
+            if labels.implied(u)[0].any():
                 return labels, none
     return labels, u

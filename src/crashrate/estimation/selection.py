@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from crashrate.estimation.view import View, normalised
 from crashrate.variables import FloatArray
@@ -13,7 +14,7 @@ MIN_SETTLED = 0.03  # a greedy run must be expected to settle this share of the 
 # mass, and an audit of what the order implies.
 SPREAD, UNDECIDED_CRASH, UNDECIDED, AUDIT = 0.80, 0.10, 0.05, 0.05
 
-IntArray = np.ndarray
+IntArray = npt.NDArray[np.intp]
 
 
 def greedy(view: View, n: int, rng: np.random.Generator) -> IntArray:

@@ -16,7 +16,7 @@ from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.crude import crude
 from crashrate.estimation.exact_bounds import exact_bounds
-from crashrate.estimation.exploration import Explored, explore, inflated
+from crashrate.estimation.exploration import N_RANKED, Explored, explore, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -33,6 +33,7 @@ from crashrate.sampling.gaussians import fit_gaussians
 from crashrate.sampling.pool import Blend, Density, draw_pool
 from crashrate.variables import FloatArray
 
+BEGINNING = 2_000_000  # the random stream between exploration and the first round
 N_POOL = 20_000
 N_COMPONENTS = 12
 N_FIT = 1000  # draws per aim that the pool's proposal is fitted to
@@ -114,7 +115,8 @@ def sequential(problem: Problem) -> Learner:
             return found
         explored = replace(explored, labels=found, ordinary=explored.ordinary[:0])
     state = _begin(problem, explored)
-    snapshot = Snapshot(learned=state.labels.learned)
+    alarms = _alarms(problem, state, None, (0.0, 1.0))
+    snapshot = Snapshot(learned=state.labels.learned, alarms=alarms)
     while state.labels.n < problem.max_calls:
         state, view = yield from _round(problem, state, snapshot)
         snapshot = _snapshot(problem, state, view)
@@ -130,15 +132,16 @@ def _begin(problem: Problem, explored: Explored) -> State:
     labels, u = explored.labels, explored.ordinary
     if labels.learned is not None:
         u = maximal(u)  # the order makes the rest of them safe too
-    ordinary = problem.rng(0).permutation(u)[: MAX_ORDINARY * (1 if labels.learned else 3)]
-    reach = labels.coordinates(_inside(problem, explored))
+    rng = problem.rng(BEGINNING)
+    ordinary = rng.permutation(u)[: MAX_ORDINARY * (1 if labels.learned else 3)]
+    reach = labels.coordinates(_inside(problem, explored, rng))
     standardise = Standardiser.weighted(reach, np.full(len(reach), 1 / len(reach)))
     dropped = problem.order is not None and labels.learned is None
     return State(labels, ordinary, explored.wide, Model(standardise), dropped=dropped)
 
 
-def _inside(problem: Problem, explored: Explored) -> FloatArray:
-    x = explored.wide.sample(N_POOL, problem.rng(0))
+def _inside(problem: Problem, explored: Explored, rng: np.random.Generator) -> FloatArray:
+    x = explored.wide.sample(N_POOL, rng)
     return x[np.all((x >= problem.traffic.lower) & (x <= problem.traffic.upper), axis=1)]
 
 
@@ -253,7 +256,7 @@ def _distrust(state: State, view: View) -> State:
     if labels.contradicted_deeper(RIPPLE, state.model.standardise.scale) > limit:
         model = state.model.forgetting()
         return replace(state, labels=labels.without_order(), rounds=(), dropped=True, model=model)
-    if len(state.ordinary) and view.probability * 1000 > ORDINARY_CRASHES:
+    if len(state.ordinary) and view.probability * N_RANKED > ORDINARY_CRASHES:
         return replace(state, ordinary=state.ordinary[:0], model=state.model.forgetting())
     return state
 
