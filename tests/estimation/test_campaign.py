@@ -197,11 +197,13 @@ def test_failed_simulations_are_said_and_widen_the_interval(case):
     assert got.half_width > whole.half_width
 
 
-def test_all_simulations_failed(case):
-    got = run(case.campaign(max_calls=25), lambda x: np.full(len(x), np.nan))
-    assert got.n_failed == 25
+def test_a_simulator_that_only_fails_is_given_up(case):
+    got = run(case.campaign(max_calls=60), lambda x: np.full(len(x), np.nan))
+    assert got.n_failed == got.n_calls == 20
+    assert got.stop_reason is StopReason.ALL_FAILED
     assert got.interval == (0.0, 1.0)
-    assert {Alarm.SIMULATIONS_FAILED, Alarm.NO_CRASH_FOUND} <= set(got.alarms)
+    assert Alarm.SIMULATIONS_FAILED in got.alarms
+    assert "all 20 simulations failed" in got.sentence()
 
 
 def test_estimate_is_the_loop_over_ask_and_tell(case):

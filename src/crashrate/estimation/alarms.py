@@ -22,8 +22,9 @@ class Alarm(StrEnum):
         "the rounds scatter more than predicted: the interval was widened by the scatter seen"
     )
     ORDER_CONTRADICTED = (
-        "some outcomes contradict the declared risk order: they imply nothing about other "
-        "situations, and the bounds P(inner), P(outer) hold only where the order does"
+        "some outcomes contradict the declared risk order, as ripples at the edge of the crash "
+        "set do: the estimate and its interval allow for that, but the bounds P(inner), P(outer) "
+        "hold only where the order does"
     )
     ORDER_DROPPED = (
         "the declared risk order was dropped: its most dangerous situations were safe, or too many "
@@ -50,4 +51,5 @@ class StopReason(StrEnum):
     RUNNING = "not finished"
     TARGET_MET = "the target was met"
     BUDGET_ENDED = "the budget of simulator runs ended"
+    ALL_FAILED = "every simulation failed"
     DRAWS_ENDED = "the budget of draws from the proposal ended"

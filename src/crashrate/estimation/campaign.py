@@ -1,6 +1,7 @@
 """The campaign: ask for situations, tell their outcomes, estimate. The one class with state."""
 
 from collections.abc import Callable, Generator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray, nearest
 
 MIN_CRASHES = 10
+MAX_FAILURES = 20  # a simulator that has failed as often and never run will not run
 
 
 def _sequential(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
@@ -182,7 +184,11 @@ class Campaign:
         self._asked.append(self._pending)
         self._told.append(y)
         self._taken = False
-        self._advance(lambda: self._steps.send(y))
+        if self._hopeless():
+            self._pending = None
+            self._snapshot = replace(self._snapshot, stop_reason=StopReason.ALL_FAILED)
+        else:
+            self._advance(lambda: self._steps.send(y))
         self._history.append(self._history_point())
 
     def estimate(self) -> Estimate:
@@ -211,6 +217,9 @@ class Campaign:
     def _start(self) -> None:
         if self._pending is None and not self._told and self._running():
             self._advance(lambda: next(self._steps))
+
+    def _hopeless(self) -> bool:
+        return self.n_calls >= MAX_FAILURES and bool(np.isnan(self.outcomes).all())
 
     def _running(self) -> bool:
         return self._snapshot.stop_reason is StopReason.RUNNING

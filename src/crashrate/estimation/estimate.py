@@ -108,17 +108,19 @@ class Estimate:
     def _head(self, event: str, per: str) -> str:
         if self.probability > 0:
             return f"P({event}) = {self.probability:.1e} per {per}"
+        if 0 < self.n_calls == self.n_failed:
+            return f"P({event}) is not determined: all {self.n_calls} simulations failed"
         if self.n_crashes:
             return f"P({event}) has no estimate yet"
         return f"P({event}) is not determined: no {event} was seen"
 
     def _relative(self) -> str:
         relative = self.relative_half_width
-        return f" (± {100 * relative:.0f} %)" if math.isfinite(relative) else ""
+        return f" (± {100 * relative:.0f} %)" if relative <= 1 else ""
 
     def _crude(self) -> str:
         calls = self.crude_monte_carlo_calls
-        if not math.isfinite(calls):
+        if not 1 <= calls < math.inf:
             return ""
         return f"; crude Monte Carlo would need {in_words(calls)}"
 

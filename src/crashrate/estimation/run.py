@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy.typing as npt
 
+from crashrate.errors import InvalidInputError
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.estimate import Estimate
 from crashrate.traffic.model import TrafficModel
@@ -45,6 +46,10 @@ def estimate(
     InvalidInputError
         If an argument is not as described, or `simulate` returns something else.
     """
+    if not callable(simulate):
+        raise InvalidInputError(
+            f"simulate: expected a function of situations (n, d), got {simulate!r}."
+        )
     campaign = Campaign(
         traffic,
         risk=risk,

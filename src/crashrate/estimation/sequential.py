@@ -162,7 +162,7 @@ def _round(
         rounds = state.rounds
     else:
         labels, rounds = yield from _estimate(problem, state, view, snapshot, rng)
-    standardise = Standardiser.weighted(view.pool.u, view.learning)
+    standardise = model.standardise.or_else(Standardiser.weighted(view.pool.u, view.learning))
     state = replace(
         state,
         labels=labels,

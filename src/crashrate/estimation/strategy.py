@@ -7,6 +7,7 @@ so that a campaign is a function of (configuration, seed, outcomes) and resume i
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 
 import numpy as np
 
@@ -16,6 +17,14 @@ from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
+
+NUMBERS = {
+    "relative_half_width": Real,
+    "max_calls": Integral,
+    "confidence": Real,
+    "batch_size": Integral,
+    "seed": Integral,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +58,9 @@ class Problem:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        for name, kind in NUMBERS.items():
+            if not isinstance(value := getattr(self, name), kind) or isinstance(value, bool):
+                raise InvalidInputError(f"{name}: expected a number, got {value!r}.")
         checks = (
             (self.relative_half_width > 0, "relative_half_width", "a positive number"),
             (self.max_calls >= 1, "max_calls", "at least 1"),

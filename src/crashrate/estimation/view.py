@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from crashrate.variables import BoolArray, FloatArray
 # Least scale of the surrogate's coordinates, over the spread of the pool: a single coordinate's
 # edge is soon known so well that earlier runs would lie 10⁵ scales away, beyond double precision.
 MIN_SCALE = 0.01
+MAX_DRIFT = 0.3  # of center over scale, and of log scale, before the coordinates follow
 UNSURE = 1e-9  # a surrogate is never certain
 FAR = 1e-3  # without an order, what the surrogate holds below this is taken as safe …
 FAR_PROBABILITY = 1e-14  # … (NO_ORDER alarm): its tails are the prior's, not the data's
@@ -37,6 +39,16 @@ class Standardiser:
     def __call__(self, u: FloatArray) -> FloatArray:
         """Standardised coordinates."""
         return (u - self.center) / self.scale
+
+    def or_else(self, other: Self) -> Self:
+        """These coordinates, or `other` where the two differ by much.
+
+        While the coordinates stay, so do the surrogate's sites: a fit to ten more labels then
+        converges in a few sweeps.
+        """
+        shift = np.abs(other.center - self.center) / self.scale
+        stretch = np.abs(np.log(other.scale / self.scale))
+        return self if max(shift.max(), stretch.max()) < MAX_DRIFT else other
 
     @classmethod
     def weighted(cls, u: FloatArray, weights: FloatArray) -> "Standardiser":
