@@ -117,7 +117,7 @@ def test_command_line_starts_without_heavy_imports():
         ["run", HUANG, "--traffic", "published", "--out", "x", "--seed", "-1"],
         ["run", HUANG, "--traffic", "published", "--out", "x", "--format", "xml"],
         ["fit", "x.csv", "--scenario", HUANG, "--out", "t.json", "--components", "3:1"],
-        ["fit", "x.csv", "--scenario", HUANG, "--out", "no/such/folder/t.json"],
+        ["run", HUANG, "--traffic", "published", "--out", "x", "--relative-half-width", "10"],
         ["demo", "--seed", "one"],
         ["status"],
     ],
@@ -205,6 +205,52 @@ def test_status_and_report_read_what_is_there(small, quick):
     assert (small / "run" / "report.html").is_file()
 
 
+def test_resumed_run_says_what_it_took_from_the_folder(small, quick):
+    del quick
+    assert "taken from" not in small_run(small).stderr
+    again = small_run(small, "--max-calls", "20")
+    assert f"12 outcomes taken from {small / 'run'}, 0 new simulator runs." in again.stderr
+
+
+def test_same_command_is_answered_again_and_a_smaller_budget_refused(small, quick):
+    del quick
+    first = small_run(small, "--max-calls", "20")
+    assert small_run(small, "--max-calls", "20").stdout == first.stdout
+    refused = small_run(small, "--max-calls", "11")
+    assert refused.exit_code == 1
+    assert "holds 12 simulator runs, more than the budget of 11" in error_line(refused)
+    assert crashrate("status", small / "run").stdout == first.stdout
+
+
+def test_report_that_fails_does_not_hide_the_answer(small, quick, monkeypatch):
+    del quick
+    monkeypatch.setattr("crashrate.reports.html.render_report", lambda _: 1 / 0)
+    done = small_run(small)
+    assert done.exit_code == 1
+    assert done.stdout.startswith("P(crash) = 2.5e-01")
+    assert "unexpected ZeroDivisionError" in done.stderr
+
+
+def test_status_of_an_unfinished_run_says_how_to_go_on(small, quick, monkeypatch):
+    del quick
+
+    def stop(_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Scenario, "simulator", lambda _: stop)
+        assert small_run(small).exit_code == 130
+    shown = crashrate("status", small / "run")
+    assert "Not finished; the same `run` command goes on." in shown.stderr
+
+
+def test_run_folder_that_is_a_file_is_refused_in_plain_words(small):
+    (small / "run").write_text("")
+    refused = small_run(small)
+    assert refused.exit_code == 1
+    assert "run is a file; choose another --out" in error_line(refused)
+
+
 def test_other_configuration_is_refused(small, quick):
     del quick
     assert small_run(small).exit_code == 3
@@ -274,6 +320,24 @@ def test_fit_prints_what_was_dropped_and_the_criterion(events, tmp_path):
     assert model.provenance["events"]["synthetic"] is False
     assert model.provenance["selection"]["n_components"] == [1, 2]
     assert model.names == ("v_lead", "inv_range", "inv_ttc")
+
+
+def test_fit_refuses_a_place_before_it_fits_and_makes_a_missing_folder(events, tmp_path):
+    command = ["fit", events, "--scenario", HUANG, "--components", "1", "--out"]
+    refused = crashrate(*command, tmp_path)
+    assert refused.exit_code == 1
+    assert "expected a file to write, found a folder" in error_line(refused)
+    assert crashrate(*command, tmp_path / "new" / "folder" / "t.json").exit_code == 0
+
+
+def test_fit_tells_of_too_few_events(events, tmp_path):
+    command = ["fit", events, "--scenario", HUANG, "--out", tmp_path / "t.json", "--components"]
+    refused = crashrate(*command, "500")
+    assert refused.exit_code == 1
+    assert f"{events}: 397 events cannot hold 500 components" in error_line(refused)
+    few = crashrate(*command, "5")
+    assert "Warning: 397 events for the 49 free parameters of 5 components" in few.stderr
+    assert "Warning" not in crashrate(*command, "1").stderr
 
 
 def test_fit_of_the_recommended_cut_in_reads_the_same_file(events, tmp_path):

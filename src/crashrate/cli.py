@@ -5,7 +5,6 @@ What a command needs is imported inside it, so that ``crashrate --help`` answers
 
 import functools
 import json
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,14 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from crashrate.errors import CrashrateError, InvalidInputError
+from crashrate.runs.progress import progress
 
 if TYPE_CHECKING:
     from crashrate.estimation.campaign import Campaign
     from crashrate.estimation.estimate import Estimate
 
 ERROR, TARGET_NOT_MET, INTERRUPTED = 1, 3, 130
-SECONDS_BETWEEN_LINES = 5.0
 REPORT = "report.html"
+UNFINISHED = "Not finished; the same `run` command goes on."
 
 app = typer.Typer(
     add_completion=False,
@@ -33,7 +33,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 Command = TypeVar("Command", bound=Callable[..., None])
-Say = Callable[[str], None]
 
 
 class Method(StrEnum):
@@ -53,9 +52,11 @@ class Format(StrEnum):
 # --- arguments
 
 
-def _positive(value: float | None) -> float | None:
-    if value is not None and not value > 0:
-        raise typer.BadParameter(f"expected a positive number, got {value}.")
+def _half_width(value: float | None) -> float | None:
+    from crashrate.runs.sections import HALF_WIDTH
+
+    if value is not None and not 0 < value <= 1:
+        raise typer.BadParameter(f"expected {HALF_WIDTH}, got {value}.")
     return value
 
 
@@ -149,8 +150,10 @@ def _plain_errors(*, debug: bool) -> Iterator[None]:
 
 
 def _message(error: Exception) -> str:
-    if isinstance(error, CrashrateError | OSError):
+    if isinstance(error, CrashrateError):
         return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename}: {error.strerror}." if error.filename else str(error)
     kind = type(error).__name__
     return f"unexpected {kind}: {error}. Please report it, with what crashrate --debug … shows."
 
@@ -183,22 +186,27 @@ def fit(
     """Fit a traffic model to recorded events."""
     del ctx
     from crashrate.runs import fitting
+    from crashrate.runs.places import require_file_place
     from crashrate.runs.scenario import Scenario
 
-    _require_folder(out)
-    what = Scenario.from_file(scenario)
+    require_file_place(out)
+    what, numbers = Scenario.from_file(scenario), fitting.parse_components(components)
     table = fitting.read_scenario_events(what, events, drop_invalid=drop_invalid)
+    fitting.require_enough(table, numbers, events)
     typer.echo(table.summary())
-    with _progress() as say:
+    with progress() as say:
         model = fitting.fit_traffic(
             what,
             table,
-            fitting.parse_components(components),
+            numbers,
             seed=seed,
             on_step=lambda done, total, message: say(f"fit {done} of {total}: {message}"),
         )
+    out.parent.mkdir(parents=True, exist_ok=True)
     model.to_json(out)
     _print_selection(model.provenance["selection"])
+    if warning := fitting.thin_data(len(table), model.n_components, model.n_variables):
+        _show_warning(warning)
     names = ", ".join(model.names)
     typer.echo(f"{out}: {model.n_components} truncated normal components in {names}")
 
@@ -220,7 +228,7 @@ def run(
     method: Annotated[Method, typer.Option(help="How to estimate.")] = Method.SEQUENTIAL,
     relative_half_width: Annotated[
         float | None,
-        typer.Option(callback=_positive, help="Target; the scenario's where not given."),
+        typer.Option(callback=_half_width, help="Target; the scenario's where not given."),
     ] = None,
     max_calls: Annotated[
         int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
@@ -229,16 +237,13 @@ def run(
 ) -> None:
     """Estimate the crash probability of a scenario; resume what was interrupted."""
     del ctx
-    from crashrate import datasets
-    from crashrate.runs import runner
+    from crashrate.runs import places, runner
     from crashrate.runs.scenario import Scenario
-    from crashrate.traffic.model import TrafficModel
 
-    what = Scenario.from_file(scenario)
-    model = (
-        datasets.spmd_mixture() if traffic == "published" else TrafficModel.from_json(Path(traffic))
-    )
-    with _progress() as say:
+    places.require_folder_place(out)
+    what, model = Scenario.from_file(scenario), places.traffic_named(traffic)
+    n_stored = runner.n_stored(out)
+    with progress() as say:
         estimate = runner.run(
             what,
             model,
@@ -249,7 +254,7 @@ def run(
             max_calls=max_calls,
             on_progress=lambda campaign: say(_standing(campaign)),
         )
-    _finish(out, estimate, output)
+    _finish(out, estimate, output, n_stored)
 
 
 @_command("crashrate status runs/cut_in", "crashrate status runs/cut_in --format json")
@@ -282,12 +287,14 @@ def demo(
     """
     del ctx
     from crashrate.runs import demo as pieces
-    from crashrate.runs import fitting, runner
+    from crashrate.runs import fitting, places, runner
 
     folder = Path("runs", f"demo-{seed}") if out is None else out
+    places.require_folder_place(folder)
+    n_stored = runner.n_stored(folder)
     scenario, events = pieces.demo_scenario(), pieces.demo_events(seed)
     typer.echo(events.summary(), err=True)
-    with _progress() as say:
+    with progress() as say:
         say(f"fitting {pieces.N_COMPONENTS} components to the synthetic events")
         model = fitting.fit_traffic(
             scenario, events, (pieces.N_COMPONENTS,), seed=seed, synthetic=True
@@ -299,24 +306,22 @@ def demo(
             seed=seed,
             on_progress=lambda campaign: say(_standing(campaign)),
         )
-    _finish(folder, estimate, Format.TEXT)
+    _finish(folder, estimate, Format.TEXT, n_stored)
 
 
 # --- what commands share
 
 
-def _require_folder(out: Path) -> None:
-    if not out.parent.is_dir():
-        raise typer.BadParameter(f"--out: expected an existing folder, got {out.parent}.")
-
-
-def _finish(directory: Path, estimate: "Estimate", output: Format) -> None:
-    """Write the report, print the answer, leave with the exit code."""
+def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int) -> None:
+    """Print the answer, write the report, leave with the exit code."""
     from crashrate.runs import runner
 
-    path = _write_report(directory)
-    _print_result(runner.status(directory), output)
-    typer.echo(f"{directory / 'result.json'}, {path}", err=True)
+    if n_stored:
+        taken = min(n_stored, estimate.n_calls)
+        new = _runs(estimate.n_calls - taken, "new simulator run")
+        typer.echo(f"{_runs(taken, 'outcome')} taken from {directory}, {new}.", err=True)
+    _print_result(runner.status(directory), output)  # first: a report that fails must not hide it
+    typer.echo(f"{directory / 'result.json'}, {_write_report(directory)}", err=True)
     if estimate.stop_reason.name != "TARGET_MET":
         raise typer.Exit(TARGET_NOT_MET)
 
@@ -333,12 +338,15 @@ def _print_result(result: dict[str, Any], output: Format) -> None:
     if output is Format.JSON:
         typer.echo(json.dumps(result, indent=2, ensure_ascii=False))
         return
+    from crashrate.estimation.alarms import StopReason
+
     typer.echo(result["sentence"])
     if result["synthetic"]:
         typer.echo(
             "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True
         )
-    typer.echo(f"Stopped: {result['stop_reason']}.", err=True)
+    unfinished = result["stop_reason"] == StopReason.RUNNING.value
+    typer.echo(UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}.", err=True)
     for alarm in result["alarms"]:
         typer.echo(f"Alarm: {alarm['message']}.", err=True)
 
@@ -353,39 +361,18 @@ def _print_selection(selection: dict[str, Any]) -> None:
         typer.echo(f"{n:10d}  {bic:14.1f}{'  lowest' if bic == best else ''}")
 
 
+def _runs(n: int, word: str) -> str:
+    return f"{n} {word}" if n == 1 else f"{n} {word}s"
+
+
 def _standing(campaign: "Campaign") -> str:
     snapshot, calls = campaign.snapshot, campaign.n_calls
-    text = f"{calls} simulator runs, {snapshot.phase}"
+    text = f"{_runs(calls, 'simulator run')}, {snapshot.phase}"
     if not snapshot.probability > 0:
         return text
     low, high = snapshot.interval
     relative = (high - low) / 2 / snapshot.probability
     return f"{text}: P = {snapshot.probability:.1e} ± {100 * relative:.0f} %"
-
-
-@contextmanager
-def _progress() -> Iterator[Say]:
-    """Progress on standard error: a line that changes on a terminal, now and then one elsewhere."""
-    from rich.console import Console
-
-    console = Console(stderr=True, highlight=False)
-    if console.is_terminal:
-        with console.status("starting") as shown:
-            yield shown.update
-    else:
-        yield _now_and_then()
-
-
-def _now_and_then() -> Say:
-    last = -SECONDS_BETWEEN_LINES
-
-    def say(text: str) -> None:
-        nonlocal last
-        if time.monotonic() - last >= SECONDS_BETWEEN_LINES:
-            last = time.monotonic()
-            typer.echo(text, err=True)
-
-    return say
 
 
 def main() -> None:

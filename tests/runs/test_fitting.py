@@ -27,6 +27,19 @@ def test_other_components_are_refused(text):
         fitting.parse_components(text)
 
 
+def test_fewer_events_than_components_are_refused(events):
+    fitting.require_enough(events, (1, 3000), "e.csv")
+    with pytest.raises(InvalidInputError, match=r"e.csv: 3000 events .*--components"):
+        fitting.require_enough(events, (1, 3001), "e.csv")
+
+
+@pytest.mark.parametrize(("n", "warned"), [(189, True), (190, False)])
+def test_few_events_per_parameter_are_told(n, warned):
+    text = fitting.thin_data(n, 2, 3)  # 2 · (1 + 3 + 6) − 1 = 19 parameters
+    assert bool(text) is warned
+    assert not warned or "19 free parameters" in text
+
+
 def test_model_remembers_where_it_comes_from(scenario, events):
     model = fitting.fit_traffic(scenario, events, (1, 2), seed=1)
     told = model.provenance["events"]

@@ -1,5 +1,6 @@
 import json
 import sqlite3
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from crashrate.errors import InvalidInputError, SimulationError, StoreError
 from crashrate.estimation import campaign
 from crashrate.estimation.campaign import Campaign
+from crashrate.runs import vehicle as vehicle_module
 from crashrate.runs.record import load_run
-from crashrate.runs.runner import run, status
+from crashrate.runs.runner import n_stored, run, status
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
@@ -117,15 +119,66 @@ def test_raised_budget_goes_on_as_if_never_stopped(go, tmp_path, uninterrupted, 
     assert result_text(tmp_path / "grown") == result_text(uninterrupted)
 
 
-def test_smaller_budget_is_answered_from_the_store(go, tmp_path, uninterrupted, vehicle):
-    go(tmp_path / "small", max_calls=34)
-    before = vehicle.n_runs
-    go(uninterrupted, max_calls=34)
-    assert vehicle.n_runs == before
-    assert result_text(uninterrupted) == result_text(tmp_path / "small")
-    assert len(load_run(uninterrupted).x) == 34
+def test_smaller_budget_is_refused_and_the_result_kept(go, uninterrupted, vehicle):
+    before, n_runs = result_text(uninterrupted), vehicle.n_runs
+    with pytest.raises(StoreError, match="holds 60 simulator runs, more than the budget of 34"):
+        go(uninterrupted, max_calls=34)
+    assert result_text(uninterrupted) == before
     go(uninterrupted)
-    assert vehicle.n_runs == before  # the rest is still there
+    assert vehicle.n_runs == n_runs
+
+
+def test_wider_target_is_answered_from_the_store(go, uninterrupted, tmp_path, vehicle):
+    loose = go(tmp_path / "loose", relative_half_width=0.8)
+    n_runs = vehicle.n_runs
+    assert go(uninterrupted, relative_half_width=0.8) == loose
+    assert len(load_run(uninterrupted).x) == loose.n_calls < 60
+    go(uninterrupted)
+    assert vehicle.n_runs == n_runs  # the rest is still there
+
+
+def test_number_of_stored_runs(uninterrupted, tmp_path):
+    assert n_stored(uninterrupted) == 60
+    assert n_stored(tmp_path / "nowhere") == 0
+
+
+@pytest.fixture
+def own(scenario_file, monkeypatch):
+    """The simulator of the scenario's folder itself, not the one that these tests count with."""
+    monkeypatch.setattr(Scenario, "simulator", vehicle_module.simulator_of)
+    yield scenario_file
+    sys.modules.pop("small_vehicle", None)
+
+
+def test_edited_simulator_is_refused_and_the_old_one_goes_on(own, traffic, tmp_path):
+    def again():
+        sys.modules.pop("small_vehicle", None)  # as a new process would
+        return run(Scenario.from_file(own), traffic, tmp_path / "run", **SETTINGS)
+
+    module = own.parent / "small_vehicle.py"
+    text, first = module.read_text(), again()
+    before = result_text(tmp_path / "run")
+    module.write_text(text.replace("1.0", "-5.0"))
+    with pytest.raises(StoreError, match=r"edited since.*another --out.*restore the file"):
+        again()
+    assert result_text(tmp_path / "run") == before
+    module.write_text(text)
+    assert again() == first
+
+
+def test_run_begun_before_sources_were_kept_goes_on(own, traffic, tmp_path):
+    scenario = Scenario.from_file(own)
+    first = run(scenario, traffic, tmp_path / "run", **SETTINGS)
+    with sqlite3.connect(tmp_path / "run" / "campaign.sqlite") as store:
+        store.execute("DELETE FROM config WHERE key = 'simulator_source'")
+    store.close()
+    assert run(scenario, traffic, tmp_path / "run", **SETTINGS) == first
+
+
+def test_other_version_of_the_simulator_is_refused(scenario, traffic, uninterrupted):
+    text = scenario.text.replace("[target]", 'version = "2"\n[target]')
+    with pytest.raises(StoreError, match=r"\[simulator\]: has .*\"version\": \"2\""):
+        run(Scenario.from_text(text, scenario.name), traffic, uninterrupted, **SETTINGS)
 
 
 def test_tightened_target_goes_on(go, tmp_path, vehicle):
@@ -175,7 +228,9 @@ def test_other_scenario_is_refused_section_by_section(scenario, traffic, uninter
 
 def test_other_traffic_is_refused(scenario, traffic, uninterrupted):
     other = replace(traffic, means=traffic.means + 1e-12)
-    with pytest.raises(StoreError, match="traffic model"):
+    other = replace(other, provenance={"events": {"source": "other.csv"}})
+    says = r"has 1 components \(hash (\w+)\), asked for 1 .* from other.csv \(hash (?!\1)"
+    with pytest.raises(StoreError, match=says):
         run(scenario, other, uninterrupted, **SETTINGS)
 
 

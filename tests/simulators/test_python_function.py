@@ -72,6 +72,35 @@ def test_exception_of_the_function_is_chained_with_the_rows(folder):
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
+def test_failures_say_the_users_line(folder):
+    with pytest.raises(SimulationError, match=r"no road \(.*user_simulator.py, line 9\)"):
+        PythonFunction("user_simulator:failing", folder)(np.zeros((5, 2)))
+    (folder / "late_user_simulator.py").write_text("\nimport no_such_dependency\n")
+    with pytest.raises(SimulationError, match=r"late_user_simulator.py, line 2\)"):
+        PythonFunction("late_user_simulator:crashes", folder).load()
+
+
+def test_exit_of_the_users_code_is_a_simulation_error(folder):
+    (folder / "leaving_user_simulator.py").write_text(
+        "import sys\ndef crashes(x):\n    sys.exit(0)\n"
+    )
+    with pytest.raises(SimulationError, match=r"raised SystemExit .*line 3\)"):
+        PythonFunction("leaving_user_simulator:crashes", folder)(np.zeros((5, 2)))
+    (folder / "gone_user_simulator.py").write_text("raise SystemExit(0)\n")
+    with pytest.raises(SimulationError, match="importing 'gone_user_simulator' raised SystemExit"):
+        PythonFunction("gone_user_simulator:crashes", folder).load()
+
+
+def test_edited_source_has_another_hash(folder):
+    simulate = PythonFunction("user_simulator:crashes", folder)
+    before = simulate.source_hash()
+    assert len(before) == 64
+    assert simulate.source_hash() == before
+    (folder / "user_simulator.py").write_text(SOURCE + "# edited\n")
+    assert simulate.source_hash() != before
+    assert PythonFunction("sys:exit").source_hash() == ""
+
+
 def test_margin_is_refused_with_the_functions_name(folder):
     with pytest.raises(SimulationError, match=r"'user_simulator:margin'.*got 3.7 at row 0"):
         PythonFunction("user_simulator:margin", folder)([[3.7]])

@@ -131,8 +131,8 @@ def test_json_brings_back_every_bit(tmp_path):
 def test_json_that_is_not_a_model_is_refused(tmp_path):
     document = json.loads(two_components().to_json())
     cases = {
-        "expected JSON": "{",
-        "expected schema": json.dumps({"schema": "other"}),
+        "expected the JSON of a traffic model": "{",
+        "whose schema is": json.dumps({"schema": "other"}),
         "expected version 1": json.dumps(document | {"version": 2}),
         "unknown key 'wieghts'; did you mean 'weights'": json.dumps(document | {"wieghts": []}),
         "lists of numbers": json.dumps(document | {"means": [["a", "b"]]}),

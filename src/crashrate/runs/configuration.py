@@ -1,5 +1,6 @@
 """The configuration of a run: what must be equal for a run folder to be continued."""
 
+import hashlib
 import json
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +14,9 @@ from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.strategy import Problem
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
+
+TRAFFIC = "traffic model"
+SOURCE = "simulator_source"
 
 
 def versions() -> dict[str, str]:
@@ -45,8 +49,10 @@ def require_same_variables(scenario: Scenario, traffic: TrafficModel) -> None:
                 )
 
 
-def configuration(scenario: Scenario, traffic: TrafficModel, campaign: Campaign) -> dict[str, str]:
-    """What the store keeps of a run, key to text."""
+def configuration(
+    scenario: Scenario, traffic: TrafficModel, campaign: Campaign, source: str = ""
+) -> dict[str, str]:
+    """What the store keeps of a run, key to text; `source` is the hash of the simulator's."""
     problem = campaign.problem
     return {
         "scenario_name": scenario.name,
@@ -57,6 +63,7 @@ def configuration(scenario: Scenario, traffic: TrafficModel, campaign: Campaign)
         "batch_size": str(problem.batch_size),
         "versions": json.dumps(versions()),
         "target": target_text(problem),
+        SOURCE: source,
     }
 
 
@@ -79,15 +86,56 @@ def require_same_run(directory: Path, stored: dict[str, str], asked: dict[str, s
             f"{directory}: holds a run of another configuration: {'; '.join(differences)}. "
             "Choose another --out, or give the arguments of the run that is there."
         )
+    _require_same_source(directory, stored.get(SOURCE, ""), asked.get(SOURCE, ""))
+
+
+def _require_same_source(directory: Path, had: str, has: str) -> None:
+    if had and has and had != has:
+        raise StoreError(
+            f"{directory}: its outcomes come from a simulator that was edited since: the file of "
+            f"the [simulator] function had the SHA-256 {had[:12]}…, now {has[:12]}…. Choose "
+            "another --out to simulate the new one, or restore the file to go on with the old."
+        )
+
+
+def require_budget(directory: Path, n_stored: int, stored: str | None, problem: Problem) -> None:
+    """Refuse a new budget below what is stored: the result there would be lost.
+
+    Raises
+    ------
+    StoreError
+        Naming both numbers.
+    """
+    max_calls = problem.max_calls
+    if stored != target_text(problem) and max_calls < n_stored:
+        raise StoreError(
+            f"{directory}: holds {n_stored} simulator runs, more than the budget of {max_calls} "
+            "asked for; its result is kept as it is. Read it with 'crashrate status', ask for "
+            f"--max-calls {n_stored} or more, or choose another --out."
+        )
 
 
 def _differences(stored: dict[str, str], asked: dict[str, str]) -> list[str]:
     had, has = _identity(stored), _identity(asked)
     return [
-        f"{key}: has {_short(had[key])}, asked for {_short(has[key])}"
+        f"{key}: has {_words(key, had, stored)}, asked for {_words(key, has, asked)}"
         for key in has
         if had[key] != has[key]
     ]
+
+
+def _words(key: str, identity: dict[str, Any], config: dict[str, str]) -> str:
+    return _traffic_words(identity, config) if key == TRAFFIC else _short(identity[key])
+
+
+def _traffic_words(identity: dict[str, Any], config: dict[str, str]) -> str:
+    """Two models may begin with the same numbers: size, source and a hash tell them apart."""
+    numbers = identity[TRAFFIC]
+    provenance = json.loads(config["traffic"]).get("provenance") or {}
+    source = (provenance.get("events") or {}).get("source") or provenance.get("description")
+    digest = hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:8]
+    of = f" from {source}" if source else ""
+    return f"{len(numbers.get('weights', ()))} components{of} (hash {digest})"
 
 
 def _identity(config: dict[str, str]) -> dict[str, Any]:
@@ -101,7 +149,7 @@ def _identity(config: dict[str, str]) -> dict[str, Any]:
             "the folder from a copy, or choose another --out."
         ) from error
     traffic.pop("provenance", None)  # where the numbers came from changes no number
-    return scenario.identity | plain | {"traffic model": traffic}
+    return scenario.identity | plain | {TRAFFIC: traffic}
 
 
 def _short(value: Any, limit: int = 80) -> str:

@@ -13,6 +13,7 @@ from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
 AUTO = tuple(range(1, 16))
+EVENTS_PER_PARAMETER = 10
 N_SAMPLE = 2000  # events kept with the model, for plots
 
 
@@ -37,6 +38,36 @@ def parse_components(text: str) -> tuple[int, ...]:
             f"components: expected a number such as 9, a range such as 1:15, or auto, got {text!r}."
         )
     return tuple(range(low, high + 1))
+
+
+def require_enough(
+    events: EventTable, components: Sequence[int], path: str | Path = "events"
+) -> None:
+    """Refuse to fit more components than there are events.
+
+    Raises
+    ------
+    InvalidInputError
+        Naming the file and the option.
+    """
+    if len(events) < max(components):
+        raise InvalidInputError(
+            f"{path}: {len(events)} events cannot hold {max(components)} components; give more "
+            f"events, or a smaller --components (up to {len(events)}, better far fewer)."
+        )
+
+
+def thin_data(n_events: int, n_components: int, n_variables: int) -> str:
+    """A warning where a fit rests on fewer than ten events per parameter; else empty."""
+    d = n_variables
+    free = n_components * (1 + d + d * (d + 1) // 2) - 1  # the weights add up to 1
+    if n_events >= EVENTS_PER_PARAMETER * free:
+        return ""
+    return (
+        f"{n_events} events for the {free} free parameters of {n_components} components: fewer "
+        f"than {EVENTS_PER_PARAMETER} each, so the model's tails, and any probability from them, "
+        "are rough. Give more events, or a smaller --components."
+    )
 
 
 def read_scenario_events(

@@ -19,6 +19,7 @@ from crashrate.estimation.estimate import Estimate
 from crashrate.estimation.strategy import Problem
 from crashrate.runs.configuration import (
     configuration,
+    require_budget,
     require_same_run,
     require_same_variables,
     target_text,
@@ -27,7 +28,7 @@ from crashrate.runs.configuration import (
 from crashrate.runs.result import read_result, result_dict, write_result
 from crashrate.runs.scenario import Scenario
 from crashrate.runs.store import Batch, RunStore
-from crashrate.runs.vehicle import Simulate
+from crashrate.runs.vehicle import Simulate, source_hash_of
 from crashrate.simulators import check_outcomes
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
@@ -52,7 +53,7 @@ def run(
     """Run a scenario in traffic, in a folder that a later call continues.
 
     An interrupted run is resumed by the same call. Target and budget may change from one call to
-    the next: the campaign goes on from what is stored.
+    the next, the budget not below what is stored: the campaign goes on from there.
 
     Parameters
     ----------
@@ -78,7 +79,8 @@ def run(
     InvalidInputError
         If an argument is not as described, or the traffic model has other variables.
     StoreError
-        If the folder holds the run of another configuration, or is damaged.
+        If the folder holds the run of another configuration or of a simulator that was edited
+        since, or more runs than `max_calls`, or is damaged.
     SimulationError
         If the simulator failed; everything before is stored, and the same call resumes.
     """
@@ -95,7 +97,8 @@ def run(
         batch_size=batch_size,
     )
     simulate = scenario.simulator()
-    with _store(directory, configuration(scenario, traffic, campaign)) as store:
+    config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
+    with _store(directory, config, campaign.problem) as store:
         sitting = _Sitting(directory, scenario, campaign, simulate, store, on_progress or _ignore)
         return _go_on(sitting, _replay(sitting))
 
@@ -112,12 +115,28 @@ def status(directory: str | Path) -> dict[str, Any]:
     return read_result(Path(directory))
 
 
-def _store(directory: Path, config: dict[str, str]) -> RunStore:
+def n_stored(directory: str | Path) -> int:
+    """Number of simulator runs that `directory` holds: 0 where there is no run.
+
+    Raises
+    ------
+    StoreError
+        If the run is damaged.
+    """
+    if not RunStore.exists(Path(directory)):
+        return 0
+    with RunStore.open(Path(directory)) as store:
+        return store.n_runs()
+
+
+def _store(directory: Path, config: dict[str, str], problem: Problem) -> RunStore:
     if not RunStore.exists(directory):
         return RunStore.create(directory, config)
     store = RunStore.open(directory)
     try:
-        require_same_run(directory, store.config(), config)
+        stored = store.config()
+        require_same_run(directory, stored, config)
+        require_budget(directory, store.n_runs(), stored.get("target"), problem)
     except StoreError:
         store.close()
         raise

@@ -14,8 +14,12 @@ from crashrate.variables import Direction, Variable, nearest
 
 SIMULATOR_KEYS = {
     "acc-aeb": ("kind", "published", "closing_speed_cap", "ego_speed_cap"),
-    "python": ("kind", "function"),
+    "python": ("kind", "function", "version"),
 }
+HALF_WIDTH = "a number above 0 and up to 1 (0.1 means ± 10 %)"
+FUNCTION_EXAMPLE = (
+    'function = "my_simulator:crashes", the function crashes in my_simulator.py beside this file'
+)
 CLOSING = ("inv_ttc", "closing_speed")
 
 
@@ -41,6 +45,9 @@ class SimulatorChoice:
         Caps of the plant [m/s].
     function : str
         ``"module:function"``, taking rows of the variables.
+    version : str
+        Of what the function's module calls and its own source does not show: another version is
+        another vehicle.
     """
 
     kind: str
@@ -48,6 +55,7 @@ class SimulatorChoice:
     closing_speed_cap: float | None = None
     ego_speed_cap: float | None = None
     function: str = ""
+    version: str = ""
 
 
 @dataclass(frozen=True)
@@ -149,7 +157,11 @@ def read_simulator(section: Table) -> SimulatorChoice:
         raise section.error(f"unknown kind {kind!r}{nearest(kind, tuple(SIMULATOR_KEYS))}")
     section.only(SIMULATOR_KEYS[kind])
     if kind == "python":
-        return SimulatorChoice(kind, function=section.text("function"))
+        if "function" not in section.values:
+            raise section.error(f"expected {FUNCTION_EXAMPLE}, got no function")
+        return SimulatorChoice(
+            kind, function=section.text("function"), version=section.text("version", "")
+        )
     caps = {key: section.optional_number(key) for key in ("closing_speed_cap", "ego_speed_cap")}
     published = section.flag("published", False)
     if published and any(cap is not None for cap in caps.values()):
@@ -166,7 +178,7 @@ def read_target(section: Table) -> Target:
         section.number("confidence", Target.confidence),
     )
     checks = (
-        (target.relative_half_width > 0, "relative_half_width", "a positive number"),
+        (0 < target.relative_half_width <= 1, "relative_half_width", HALF_WIDTH),
         (target.max_calls >= 1, "max_calls", "at least 1"),
         (0 < target.confidence < 1, "confidence", "a number between 0 and 1"),
     )

@@ -118,6 +118,12 @@ class RunStore:
         with self._transaction() as connection:
             connection.execute("INSERT OR REPLACE INTO config VALUES (?, ?)", (key, value))
 
+    def n_runs(self) -> int:
+        """Number of simulator runs whose outcomes are stored."""
+        with self._transaction(READING) as connection:
+            (n,) = connection.execute("SELECT COALESCE(SUM(n), 0) FROM batches").fetchone()
+        return int(n)
+
     def batches(self, n_variables: int) -> list[Batch]:
         """The batches, in the order in which they were asked for.
 
@@ -174,6 +180,8 @@ class RunStore:
                 "it, or choose another --out."
             ) from error
         except sqlite3.Error as error:
+            if getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY"):
+                raise self._read_only() from error
             raise StoreError(
                 f"{self.directory / FILE}: expected a run written by crashrate, got: {error}; "
                 "restore the file from a copy, or choose another --out."
@@ -186,6 +194,12 @@ class RunStore:
             expected = f"{n} rows of {d} variables in batch {k}"
             raise self._damaged(expected, f"{len(x)} and {len(outcomes)} bytes")
         return Batch(_array(x).reshape(n, d), _array(outcomes))
+
+    def _read_only(self) -> StoreError:
+        return StoreError(
+            f"{self.directory}: this run folder cannot be written (read-only); make it and the "
+            "files in it writable, or copy the folder and give the copy as --out."
+        )
 
     def _damaged(self, expected: str, got: str) -> StoreError:
         return StoreError(

@@ -28,7 +28,17 @@ def simulator_of(scenario: "Scenario") -> Simulate:
     try:
         return _acc_aeb(scenario) if scenario.simulator_choice.kind == "acc-aeb" else _own(scenario)
     except InvalidInputError as error:
-        raise ScenarioError(f"{scenario.name}, [simulator]: {error}") from error
+        raise ScenarioError(f"{_file(scenario)}, [simulator]: {error}") from error
+
+
+def source_hash_of(simulate: Simulate) -> str:
+    """What tells an edited simulator from the one before; empty for the plants of this package."""
+    return simulate.source_hash() if isinstance(simulate, PythonFunction) else ""
+
+
+def _file(scenario: "Scenario") -> str:
+    name = f"{scenario.name}.toml"
+    return name if scenario.directory is None else str(scenario.directory / name)
 
 
 def _acc_aeb(scenario: "Scenario") -> AccAebSimulator:

@@ -1,7 +1,9 @@
 """A simulator that is a Python function of the user, given as ``module:function``."""
 
+import hashlib
 import importlib
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -69,6 +71,20 @@ class PythonFunction:
             )
         return function  # type: ignore[no-any-return]
 
+    def source_hash(self) -> str:
+        """SHA-256 of the module's file, empty where it has none: it tells an edited simulator.
+
+        What the module imports is not in it.
+
+        Raises
+        ------
+        InvalidInputError, SimulationError
+            As `load`.
+        """
+        module = self._import(self.target.partition(":")[0])
+        file = getattr(module, "__file__", None)  # a module built into Python has none
+        return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+
     def __call__(self, x: npt.ArrayLike) -> FloatArray:
         """The outcomes of the situations `x` (n, d): (n,) of 1.0, 0.0 and NaN.
 
@@ -82,11 +98,11 @@ class PythonFunction:
         try:
             with _on_path(self.folder):
                 outcomes = function(rows.copy())
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a simulator that exits is no end of the run
             raise SimulationError(
                 f"simulator function {self.target!r} raised {type(error).__name__} on rows 0 to "
-                f"{len(rows) - 1} of a batch: {error}. To mark one run as failed, return NaN "
-                "for its row instead."
+                f"{len(rows) - 1} of a batch: {error}{_place(error, self.folder)}. To mark one "
+                "run as failed, return NaN for its row instead."
             ) from error
         return check_outcomes(outcomes, len(rows), f"simulator function {self.target!r}")
 
@@ -101,15 +117,15 @@ class PythonFunction:
                 f"simulator function {self.target!r}: no module {name!r} in "
                 f"{self.folder or 'the current path'} nor among the installed packages."
             ) from None
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._import_failed(name, error) from error
         self._check_place(name, module)
         return module
 
-    def _import_failed(self, name: str, error: Exception) -> SimulationError:
+    def _import_failed(self, name: str, error: BaseException) -> SimulationError:
         return SimulationError(
             f"simulator function {self.target!r}: importing {name!r} raised "
-            f"{type(error).__name__}: {error}."
+            f"{type(error).__name__}: {error}{_place(error, self.folder)}."
         )
 
     def _check_place(self, name: str, module: ModuleType) -> None:
@@ -123,6 +139,17 @@ class PythonFunction:
                 f"simulator function {self.target!r}: expected the module {own[0]}, but the name "
                 f"{name!r} is taken by {module.__file__ or 'a built-in module'}; rename the file."
             )
+
+
+def _place(error: BaseException, folder: str | None) -> str:
+    """Where the user's code failed, such as `` (my_simulator.py, line 3)``; empty if nowhere."""
+    if isinstance(error, SyntaxError):  # whose text says where
+        return "" if error.filename is None else f" ({error.filename}, line {error.lineno})"
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if folder is not None and Path(f.filename).is_relative_to(folder)]
+    foreign = [f for f in frames if f.filename != __file__ and "importlib" not in f.filename]
+    last = (own or foreign)[-1:]
+    return "".join(f" ({frame.filename}, line {frame.lineno})" for frame in last)
 
 
 @contextmanager

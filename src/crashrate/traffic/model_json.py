@@ -44,7 +44,10 @@ def from_document(text_or_path: str | Path) -> dict[str, Any]:
     try:
         document = json.loads(text)
     except json.JSONDecodeError as error:
-        raise InvalidInputError(f"{where}: expected JSON, got a {error}.") from None
+        raise InvalidInputError(
+            f"{where}: expected the JSON of a traffic model, written by 'crashrate fit', got "
+            f"something that is not JSON ({error})."
+        ) from None
     _check_document(document, where)
     try:
         return _arguments(document)
@@ -69,7 +72,10 @@ def _check_document(document: Any, where: str) -> None:
     """Refuse what is not a document of this schema and version, key by key."""
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else type(document).__name__
-        raise InvalidInputError(f"{where}: expected schema {SCHEMA!r}, got {got!r}.")
+        raise InvalidInputError(
+            f"{where}: expected a traffic model, written by 'crashrate fit', whose schema is "
+            f"{SCHEMA!r}, got {got!r}."
+        )
     if document.get("version") != VERSION:
         raise InvalidInputError(
             f"{where}: expected version {VERSION}, got {document.get('version')!r}; "

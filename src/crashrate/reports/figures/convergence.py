@@ -52,6 +52,13 @@ def half_width_panel(estimate: Estimate, target: float | None) -> Panel:
         return Panel(
             "half-width", title, "No interval of some width around an estimate above zero yet."
         )
+    if estimate.crude_monte_carlo_calls < 1:
+        return Panel(
+            "half-width",
+            title,
+            "No comparison: with an estimate this close to 1, crude Monte Carlo's formula asks "
+            "for less than one run.",
+        )
     plot = Plot(
         _half_width_figure(points, estimate, target),
         f"Relative half-width falls to {percent(estimate.relative_half_width)} at "
