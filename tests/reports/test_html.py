@@ -1,4 +1,5 @@
 import dataclasses
+import html
 import math
 import re
 from html.parser import HTMLParser
@@ -73,7 +74,7 @@ def test_the_page_is_well_formed_and_accessible(build):
     images = [a for _, a in page.elements if a.get("role") == "img"]
     assert len(images) >= 10
     assert all(a["aria-label"] for a in images)
-    assert len(page.find("figcaption")) == len(page.find("figure")) == 6
+    assert len(page.find("figcaption")) == len(page.find("figure")) == 5
     assert page.find("html") == [{"lang": "en"}]
 
 
@@ -222,3 +223,28 @@ def test_an_interval_of_no_width(build, estimate):
     page = Page(render_report(build(estimate=exact)))
     assert "the target was met" in page.text
     assert not re.search(r"\b(nan|None|inf|inf trillion)\b", page.text)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"probability": 1.0, "interval": (0.98, 1.0)},
+        {"probability": 0.5, "interval": (0.4, 0.6)},
+        {"probability": 2e-6, "interval": (0.0, 6e-6)},
+    ],
+)
+def test_no_silly_comparison_with_crude_monte_carlo(build, estimate, changes):
+    page = html.unescape(render_report(build(estimate=estimate(**changes))))
+    assert "in place of" not in page
+    assert "× 0<" not in page
+    assert ">none<" in page
+    assert "in place of" in render_report(build())
+
+
+def test_a_figure_without_data_is_a_sentence(build):
+    page = render_report(build())
+    assert '<p id="figure-bic"><strong>Number of mixture components.</strong>' in page
+    assert '<figure id="figure-bic"' not in page
+    numbers = [int(n) for n in re.findall(r"<strong>Figure (\d+)\.", page)]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert "surrogate" in page

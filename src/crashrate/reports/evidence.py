@@ -33,10 +33,6 @@ def evidence(record: RunRecord, estimate: Estimate) -> tuple[Fact, ...]:
             *_origin(record, estimate))  # fmt: skip
 
 
-def _words(value: float) -> str:
-    return in_words(value) if is_number(value) else MISSING
-
-
 def _relative(e: Estimate) -> str:
     return f" (± {percent(e.relative_half_width)})" if is_number(e.relative_half_width) else ""
 
@@ -88,7 +84,8 @@ def _quality(e: Estimate) -> tuple[Fact, ...]:
         Fact(
             "Effective sample size",
             plain(e.n_eff, 3),
-            "Equally weighted crashes that would be as precise.",
+            "Equally weighted crashes that would be as precise. It can exceed the simulator runs: "
+            "outcomes implied by the risk order, and what the fitted surrogate knows, count too.",
         ),
         Fact(
             "Largest weight share",
@@ -103,18 +100,26 @@ def _quality(e: Estimate) -> tuple[Fact, ...]:
     )
 
 
+def accelerates(e: Estimate) -> bool:
+    """Whether crude Monte Carlo would need more runs, for an interval that is one.
+
+    An interval wider than the estimate says nothing on which methods could be compared.
+    """
+    return is_number(e.acceleration) and e.acceleration > 1 and e.relative_half_width <= 1
+
+
 def _efficiency(e: Estimate) -> tuple[Fact, ...]:
+    calls = e.crude_monte_carlo_calls
+    comparable = is_number(calls) and calls >= 1 and e.relative_half_width <= 1
     return (
         Fact(
             "Crude Monte Carlo",
-            f"{_words(e.crude_monte_carlo_calls)} runs"
-            if is_number(e.crude_monte_carlo_calls)
-            else MISSING,
+            f"{in_words(calls)} runs" if comparable else MISSING,
             "Random encounters needed for an interval as narrow.",
         ),
         Fact(
             "Acceleration",
-            f"× {_words(e.acceleration)}" if is_number(e.acceleration) else MISSING,
+            f"× {in_words(e.acceleration)}" if accelerates(e) else "none",
             "Crude Monte Carlo runs that each simulator run replaces.",
         ),
     )

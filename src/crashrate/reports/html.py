@@ -1,6 +1,5 @@
 """The report: one HTML file that holds all it needs, for a reader who was not there."""
 
-import math
 import re
 from functools import cache
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, in_words
-from crashrate.reports.evidence import evidence
+from crashrate.reports.evidence import accelerates, evidence
 from crashrate.reports.likeliest import likeliest_crashes
 from crashrate.reports.numbers import interval_text, percent, power_of_ten
 from crashrate.reports.panel import Panel
@@ -119,10 +118,10 @@ def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str]
 
 
 def _effort(estimate: Estimate) -> str:
-    calls = estimate.crude_monte_carlo_calls
-    if not math.isfinite(calls):
+    if not accelerates(estimate):
         return "of the simulator"
-    return f"of the simulator, in place of {in_words(calls)} by crude Monte Carlo"
+    calls = in_words(estimate.crude_monte_carlo_calls)
+    return f"of the simulator, in place of {calls} by crude Monte Carlo"
 
 
 def _panels(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:

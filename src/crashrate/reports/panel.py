@@ -14,7 +14,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Panel:
-    """One figure of the report; without plots, `caption` says why there are none.
+    """One figure of the report; without plots, a sentence, `caption`, that says why.
 
     Parameters
     ----------

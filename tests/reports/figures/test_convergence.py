@@ -89,3 +89,22 @@ def test_a_run_no_better_than_crude_monte_carlo_fits_in_the_figure(estimate):
     e = estimate(probability=0.3, interval=(0.1, 0.5), n_calls=200)
     x_axis = half_width_panel(e, 0.1).plots[0].figure.layout.xaxis
     assert 10 ** x_axis.range[1] > 200 > e.crude_monte_carlo_calls
+
+
+@pytest.mark.parametrize("p", [1.0, 1 - 1e-9])
+def test_an_estimate_of_one_has_no_comparison(estimate, p):
+    history = (HistoryPoint(20, p, 0.9, 1.0, "x"),)
+    e = estimate(probability=p, interval=(0.9, 1.0), history=history)
+    panel = half_width_panel(e, 0.1)
+    assert panel.plots == ()
+    assert "No comparison" in panel.caption
+    assert estimate_panel(e).plots
+
+
+def test_no_acceleration_is_none_to_speak_of(estimate):
+    e = estimate(
+        probability=0.5, interval=(0.4, 0.6), history=(HistoryPoint(200, 0.5, 0.4, 0.6, "x"),)
+    )
+    assert e.acceleration < 1
+    assert "acceleration" not in half_width_panel(e, 0.1).caption
+    assert "acceleration" in half_width_panel(estimate(), 0.1).caption

@@ -68,9 +68,13 @@ def half_width_panel(estimate: Estimate, target: float | None) -> Panel:
     caption = (
         f"Half the {100 * estimate.confidence:g} % interval over the estimate, on logarithmic "
         "axes. Crude Monte Carlo draws encounters at random from the traffic model; its line is "
-        "z √((1 − p) / (p n)) at this run's estimate p, for n runs. The horizontal distance "
-        f"between the two lines is the acceleration: {in_words(estimate.acceleration)} at the end."
+        "z √((1 − p) / (p n)) at this run's estimate p, for n runs."
     )
+    if estimate.acceleration > 1:
+        caption += (
+            " The horizontal distance between the two lines is the acceleration: "
+            f"{in_words(estimate.acceleration)} at the end."
+        )
     return Panel("half-width", title, caption, (plot,))
 
 
