@@ -74,6 +74,21 @@ def test_mat_that_is_not_columns_of_numbers_is_refused(tmp_path):
         read_events(path, AB)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a;b\n1,5;2\n", "semicolons"),
+        ("a;b\n1;2\n", "semicolons"),
+        ("a\tb\n1\t2\n", "tabs"),
+    ],
+)
+def test_csv_of_other_separators_is_refused_with_a_hint(tmp_path, text, words):
+    path = tmp_path / "events.csv"
+    path.write_text(text)
+    with pytest.raises(EventsError, match=f"separated by {words}: save it again with commas"):
+        _ = open_source(path).names
+
+
 @pytest.mark.parametrize("ending", [".csv", ".parquet", ".mat"])
 @pytest.mark.parametrize("content", [b"", b"\n", b"\0", bytes(300), b"PAR1garbagePAR1"])
 def test_garbage_is_refused_by_every_reader(tmp_path, ending, content):

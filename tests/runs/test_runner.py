@@ -166,6 +166,18 @@ def test_edited_simulator_is_refused_and_the_old_one_goes_on(own, traffic, tmp_p
     assert again() == first
 
 
+def test_simulator_mended_before_its_first_outcome_goes_on(own, traffic, tmp_path):
+    module = own.parent / "small_vehicle.py"
+    text = module.read_text()
+    module.write_text("\ndef crashes(x):\n    raise OSError\n")
+    with pytest.raises(SimulationError, match=r"small_vehicle.py, line 3\)"):
+        run(Scenario.from_file(own), traffic, tmp_path / "run", **SETTINGS)
+    sys.modules.pop("small_vehicle")
+    module.write_text(text)
+    run(Scenario.from_file(own), traffic, tmp_path / "run", **SETTINGS)
+    run(Scenario.from_file(own), traffic, tmp_path / "run", **SETTINGS)
+
+
 def test_run_begun_before_sources_were_kept_goes_on(own, traffic, tmp_path):
     scenario = Scenario.from_file(own)
     first = run(scenario, traffic, tmp_path / "run", **SETTINGS)
@@ -229,7 +241,7 @@ def test_other_scenario_is_refused_section_by_section(scenario, traffic, uninter
 def test_other_traffic_is_refused(scenario, traffic, uninterrupted):
     other = replace(traffic, means=traffic.means + 1e-12)
     other = replace(other, provenance={"events": {"source": "other.csv"}})
-    says = r"has 1 components \(hash (\w+)\), asked for 1 .* from other.csv \(hash (?!\1)"
+    says = r"has 1 component \(hash (\w+)\), asked for 1 .* from other.csv \(hash (?!\1)"
     with pytest.raises(StoreError, match=says):
         run(scenario, other, uninterrupted, **SETTINGS)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from crashrate.errors import StoreError
+from crashrate.runs import store as store_module
 from crashrate.runs.store import FILE, Batch, RunStore
 
 ODD = np.array([[0.1, -0.0], [np.pi, 5e-324]])
@@ -93,3 +94,12 @@ def test_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(StoreError, match="expected a folder to write to"):
         RunStore.create(tmp_path / "file" / "run", {})
+
+
+def test_store_that_cannot_be_written_is_told_in_plain_words(store, monkeypatch):
+    original = store_module._connect
+    monkeypatch.setattr(store_module, "_connect", lambda directory, _: original(directory, "ro"))
+    with RunStore.open(store.directory) as locked:
+        with pytest.raises(StoreError, match="this run folder cannot be written"):
+            locked.set_config("target", "other")
+        assert locked.n_runs() == store.n_runs()

@@ -9,6 +9,8 @@ from typing import Any
 from crashrate.errors import EventsError
 from crashrate.events.sources import Column, empty_as_nan
 
+OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+MAX_HEADER = 65536  # bytes looked at for a hint
 NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 
 
@@ -34,9 +36,12 @@ class CsvSource:
 
         try:
             with csv.open_csv(self.path, read_options=csv.ReadOptions(use_threads=False)) as file:
-                return tuple(file.schema.names)
+                header = tuple(file.schema.names)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise self._unreadable(error) from error
+        if len(header) == 1 and _other_separator(header[0]):
+            raise self._unreadable("one column", header[0])
+        return header
 
     def read(self, names: Sequence[str]) -> dict[str, Column]:
         """The columns `names`; a cell that is not a number becomes NaN."""
@@ -55,10 +60,26 @@ class CsvSource:
             raise self._unreadable(error) from error
         return {name: _numbers(table[in_file]) for name, in_file in written.items()}
 
-    def _unreadable(self, error: Exception) -> EventsError:
+    def _unreadable(self, error: object, first_line: str = "") -> EventsError:
+        other = _other_separator(first_line or self._first_line())
+        hint = f" Its columns are separated by {other}: save it again with commas." if other else ""
         return EventsError(
             f"{self.path}: expected a comma-separated table in UTF-8 with a header line: {error}"
+            f"{hint}"
         )
+
+    def _first_line(self) -> str:
+        try:
+            with self.path.open("rb") as file:
+                return file.readline(MAX_HEADER).decode("utf-8", errors="replace")
+        except OSError:
+            return ""
+
+
+def _other_separator(header: str) -> str:
+    """What stands between the columns' names where no comma does, in words; else empty."""
+    found = [words for mark, words in OTHER_SEPARATORS.items() if mark in header]
+    return found[0] if found and "," not in header else ""
 
 
 def _numbers(cells: Any) -> Column:

@@ -86,10 +86,17 @@ def require_same_run(directory: Path, stored: dict[str, str], asked: dict[str, s
             f"{directory}: holds a run of another configuration: {'; '.join(differences)}. "
             "Choose another --out, or give the arguments of the run that is there."
         )
-    _require_same_source(directory, stored.get(SOURCE, ""), asked.get(SOURCE, ""))
 
 
-def _require_same_source(directory: Path, had: str, has: str) -> None:
+def require_same_source(directory: Path, stored: dict[str, str], asked: dict[str, str]) -> None:
+    """Refuse to mix the outcomes of a simulator with those of its edited self.
+
+    Raises
+    ------
+    StoreError
+        Saying that its source changed and what to do.
+    """
+    had, has = stored.get(SOURCE, ""), asked.get(SOURCE, "")
     if had and has and had != has:
         raise StoreError(
             f"{directory}: its outcomes come from a simulator that was edited since: the file of "
@@ -135,7 +142,8 @@ def _traffic_words(identity: dict[str, Any], config: dict[str, str]) -> str:
     source = (provenance.get("events") or {}).get("source") or provenance.get("description")
     digest = hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:8]
     of = f" from {source}" if source else ""
-    return f"{len(numbers.get('weights', ()))} components{of} (hash {digest})"
+    n = len(numbers.get("weights", ()))
+    return f"{n} component{'' if n == 1 else 's'}{of} (hash {digest})"
 
 
 def _identity(config: dict[str, str]) -> dict[str, Any]:

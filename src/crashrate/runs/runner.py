@@ -18,9 +18,11 @@ from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.estimate import Estimate
 from crashrate.estimation.strategy import Problem
 from crashrate.runs.configuration import (
+    SOURCE,
     configuration,
     require_budget,
     require_same_run,
+    require_same_source,
     require_same_variables,
     target_text,
     versions,
@@ -136,7 +138,12 @@ def _store(directory: Path, config: dict[str, str], problem: Problem) -> RunStor
     try:
         stored = store.config()
         require_same_run(directory, stored, config)
-        require_budget(directory, store.n_runs(), stored.get("target"), problem)
+        n_runs = store.n_runs()
+        if n_runs:
+            require_same_source(directory, stored, config)
+        else:  # it failed on its first situation, say, and was mended
+            store.set_config(SOURCE, config[SOURCE])
+        require_budget(directory, n_runs, stored.get("target"), problem)
     except StoreError:
         store.close()
         raise
@@ -163,9 +170,12 @@ class _Sitting:
         try:
             return check_outcomes(self.simulate(x), len(x))
         except SimulationError as error:
+            n = self.campaign.n_calls
             raise SimulationError(
-                f"{error} The {self.campaign.n_calls} simulator runs before are stored in "
-                f"{self.directory}: the same command goes on after them."
+                f"{error} The {n} simulator runs before are stored in {self.directory}: the same "
+                "command goes on after them, unless the simulator's source is edited."
+                if n
+                else str(error)
             ) from error
 
     def tell(self, outcomes: FloatArray) -> None:

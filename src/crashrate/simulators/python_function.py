@@ -101,8 +101,8 @@ class PythonFunction:
         except (Exception, SystemExit) as error:  # a simulator that exits is no end of the run
             raise SimulationError(
                 f"simulator function {self.target!r} raised {type(error).__name__} on rows 0 to "
-                f"{len(rows) - 1} of a batch: {error}{_place(error, self.folder)}. To mark one "
-                "run as failed, return NaN for its row instead."
+                f"{len(rows) - 1} of a batch{_told(error, self.folder)}. To mark one run as "
+                "failed, return NaN for its row instead."
             ) from error
         return check_outcomes(outcomes, len(rows), f"simulator function {self.target!r}")
 
@@ -125,7 +125,7 @@ class PythonFunction:
     def _import_failed(self, name: str, error: BaseException) -> SimulationError:
         return SimulationError(
             f"simulator function {self.target!r}: importing {name!r} raised "
-            f"{type(error).__name__}: {error}{_place(error, self.folder)}."
+            f"{type(error).__name__}{_told(error, self.folder)}."
         )
 
     def _check_place(self, name: str, module: ModuleType) -> None:
@@ -141,9 +141,15 @@ class PythonFunction:
             )
 
 
+def _told(error: BaseException, folder: str | None) -> str:
+    """What the exception says, and the line of the user's code that it comes from."""
+    text = error.msg if isinstance(error, SyntaxError) else str(error)
+    return f": {text}{_place(error, folder)}" if text else _place(error, folder)
+
+
 def _place(error: BaseException, folder: str | None) -> str:
     """Where the user's code failed, such as `` (my_simulator.py, line 3)``; empty if nowhere."""
-    if isinstance(error, SyntaxError):  # whose text says where
+    if isinstance(error, SyntaxError):  # no line of that file was ever run
         return "" if error.filename is None else f" ({error.filename}, line {error.lineno})"
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if folder is not None and Path(f.filename).is_relative_to(folder)]
