@@ -5,19 +5,20 @@ import pytest
 from scipy.stats import binom
 
 from crashrate.estimation.alarms import Alarm, StopReason
-from crashrate.estimation.crude import crude, upper_end
+from crashrate.estimation.crude import crude
+from crashrate.estimation.encounters import interval
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 50), (3, 50), (49, 50)])
 def test_upper_end_is_clopper_pearson(k, n):
-    assert binom.cdf(k, n, upper_end(k, n, 0.95)) == pytest.approx(0.025)
+    assert binom.cdf(k, n, interval(k, n, 0.95)[1]) == pytest.approx(0.025)
 
 
 def test_upper_end_of_nothing_is_one():
-    assert upper_end(0, 0, 0.95) == 1.0
-    assert upper_end(4, 4, 0.95) == 1.0
+    assert interval(0, 0, 0.95)[1] == 1.0
+    assert interval(4, 4, 0.95)[1] == 1.0
 
 
 def begin(cases, max_calls):
@@ -29,7 +30,7 @@ def test_ends_with_the_budget_and_an_upper_end(cases, drive):
     end, queries = drive(begin(cases, 35), lambda x: np.zeros(len(x)))
     assert [len(q.x) for q in queries] == [10, 10, 10, 5]
     assert end.probability == 0.0
-    assert end.interval == (0.0, upper_end(0, 35, 0.95))
+    assert end.interval == (0.0, interval(0, 35, 0.95)[1])
     assert end.stop_reason is StopReason.BUDGET_ENDED
     assert end.alarms == (Alarm.NO_CRASH_FOUND,)
 
@@ -39,7 +40,7 @@ def test_a_failed_encounter_counts_as_a_crash_for_the_upper_end(cases, drive):
         return np.where(np.arange(len(x)) == 0, np.nan, 0.0)
 
     end, _ = drive(begin(cases, 20), simulate)
-    assert end.interval[1] == upper_end(2, 20, 0.95)
+    assert end.interval[1] == interval(2, 20, 0.95)[1]
 
 
 def test_stops_at_the_first_crash(cases, drive):

@@ -40,8 +40,8 @@ def test_finds_the_edge_with_few_runs(cases, drive, p):
     case = cases.half_plane(p)
     found, queries = drive(explore(problem_of(case)), case.crash)
     assert found.found
-    assert all(len(q.x) == 1 for q in queries)
-    assert found.labels.n < 45
+    assert sum(len(q.x) > 1 for q in queries) <= 1  # the probes of the order come together
+    assert found.labels.n < 50
     danger_of = found.labels.x.sum(axis=1) / np.sqrt(2)
     gap = danger_of[found.labels.y == 1].min() - danger_of[found.labels.y == 0].max()
     assert 0 < gap < 0.5

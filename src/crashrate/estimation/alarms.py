@@ -34,6 +34,10 @@ class Alarm(StrEnum):
         "no risk order is in use: crash regions that no run came near are taken as safe, and "
         "the bounds say nothing"
     )
+    ENCOUNTERS_DISAGREE = (
+        "random encounters crash far more often than the estimate allows: the interval was widened "
+        "to what they show"
+    )
     UNDECIDED_MASS_LARGE = (
         "situations that no outcome decides carry more than fifty times the estimate: the bounds "
         "are far apart"

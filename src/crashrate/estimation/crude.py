@@ -4,9 +4,9 @@ from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import betaincinv
 
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.encounters import interval
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.variables import FloatArray
@@ -39,15 +39,8 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
 def _nothing(problem: Problem, labels: Labels, n_safe: int, n_failed: int) -> Snapshot:
     return Snapshot(
         probability=0.0,
-        interval=(0.0, upper_end(n_failed, n_safe + n_failed, problem.confidence)),
+        interval=(0.0, interval(n_failed, n_safe + n_failed, problem.confidence)[1]),
         alarms=(Alarm.NO_CRASH_FOUND,),
         learned=labels.learned,
         phase="random encounters",
     )
-
-
-def upper_end(n_crashes: int, n: int, confidence: float) -> float:
-    """Upper end of the two-sided Clopper–Pearson interval (1934) for a probability."""
-    if n_crashes >= n:
-        return 1.0
-    return float(betaincinv(n_crashes + 1, n - n_crashes, 0.5 + confidence / 2))

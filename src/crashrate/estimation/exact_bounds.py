@@ -4,14 +4,15 @@ from crashrate.crash_set.bounds import probability_bounds
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
 
-# corners beyond which the exact bounds take longer than bounds from draws
-MAX_CORNERS = 2000
+# Beyond these the exact bounds take longer than bounds from draws, and box probabilities in four
+# or more dimensions are themselves drawn.
+MAX_CORNERS, MAX_VARIABLES = 2000, 3
 
 
 def exact_bounds(problem: Problem, labels: Labels) -> tuple[float, float] | None:
     """P(inner) and P(outer) exactly, (0, 1) without an order, None where that is out of reach."""
     if labels.learned is None or problem.order is None:
         return 0.0, 1.0
-    if len(labels.learned.corners) > MAX_CORNERS:
+    if problem.traffic.n_variables > MAX_VARIABLES or len(labels.learned.corners) > MAX_CORNERS:
         return None
     return probability_bounds(labels.learned, problem.order, problem.traffic)

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.estimation.probing import Asking, ask, probe, reachable
+from crashrate.estimation.strategy import Problem, Query
 from crashrate.sampling.gaussians import Gaussians
 from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.traffic.model import TrafficModel
+from crashrate.traffic.truncated_normal import box_moments
 from crashrate.variables import FloatArray
 
 N_WIDE = 80_000
@@ -26,11 +28,9 @@ MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
-NEGLIGIBLE_MASS = 1e-8
 MAX_SPACE_FILLING = 400
 
 Exploration = Generator[Query, FloatArray, "Explored"]
-Asking = Generator[Query, FloatArray, Labels]
 
 
 @dataclass(frozen=True)
@@ -57,22 +57,18 @@ class Explored:
 
 
 def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:
-    """The traffic model's components, equally weighted, with covariances times each factor."""
+    """The traffic model's components, equally weighted, with covariances times each factor.
+
+    Around the means of the *truncated* components: a component far outside the box would send
+    hardly a draw into it.
+    """
     k = traffic.n_components * len(factors)
+    inside = box_moments(traffic.means, traffic.covariances, traffic.lower, traffic.upper).mean
     return Gaussians(
         np.full(k, 1 / k),
-        np.concatenate([traffic.means] * len(factors)),
+        np.concatenate([inside] * len(factors)),
         np.concatenate([traffic.covariances * f for f in factors]),
     )
-
-
-def ask(problem: Problem, labels: Labels, x: FloatArray) -> Asking:
-    """Simulate `x`, cut to what is left of the budget."""
-    x = x[: problem.max_calls - labels.n]
-    if not len(x):
-        return labels
-    y = yield Query(x, Snapshot(learned=labels.learned))
-    return labels.add(x, y)
 
 
 def explore(problem: Problem) -> Exploration:
@@ -83,9 +79,10 @@ def explore(problem: Problem) -> Exploration:
         labels, wide, pool = yield from _inflate(problem, labels, rng)
         if (labels.y == 1).any():
             labels = yield from _descend(problem, labels, pool)
-        else:
+            labels = yield from probe(problem, labels, pool)
+        elif (labels.y == 0).any():
             labels = labels.without_order()  # the most dangerous situations are safe: not believed
-    if labels.learned is None:
+    if not (labels.y == 1).any():
         wide = inflated(problem.traffic, _factors(INFLATION))
         labels = yield from _fill_space(problem, labels, wide, rng)
     if (labels.y == 1).any():
@@ -136,13 +133,11 @@ def _fill_space(
 ) -> Asking:
     """Simulate the draw farthest from all simulated ones until one crashes."""
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-    by_density = np.argsort(pool.log_f)
-    mass = np.cumsum(pool.weights[by_density])
-    reachable = by_density[mass > NEGLIGIBLE_MASS * mass[-1]]
-    x, u = pool.x[reachable], pool.u[reachable]
+    rows = reachable(pool)
+    x, u = pool.x[rows], pool.u[rows]
     z = (u - u.mean(axis=0)) / u.std(axis=0)
     distance = (z * z).sum(axis=1)
-    for _ in range(MAX_SPACE_FILLING):
+    for _ in range(min(MAX_SPACE_FILLING, problem.max_calls // 2)):
         if (labels.y == 1).any() or labels.n >= problem.max_calls:
             break
         row = int(distance.argmax())

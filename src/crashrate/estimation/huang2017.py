@@ -15,11 +15,14 @@ import numpy.typing as npt
 from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.exact_bounds import exact_bounds
+from crashrate.estimation.exploration import inflated
 from crashrate.estimation.labels import Labels
+from crashrate.estimation.probing import probe
 from crashrate.estimation.settling import Settled, settle
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.tally import Tally
 from crashrate.sampling.orthants import DominatingPoints, dominating_points
+from crashrate.sampling.pool import draw_pool
 from crashrate.sampling.proposals import (
     Proposal,
     learning_rho,
@@ -31,6 +34,8 @@ from crashrate.variables import FloatArray
 
 ESTIMATING = 10_000  # batches are numbered from here on while estimating
 BOUNDING = 20_000
+PROBING = 30_000
+INFLATE = 4.0
 SHARE_LIMIT = 0.25
 UNDECIDED_LIMIT = 50.0
 # the normal interval is not looked at before the estimate rests on as many equal crashes
@@ -162,6 +167,7 @@ def _procedure(
     state = State(Labels.empty(problem), Proposal.of_traffic(problem.traffic))
     while not _learned(problem, settings, state):  # step 7
         state = yield from _iterate(problem, settings, state)
+    state = yield from _probing(problem, settings, state)
     state = _proposing(problem, settings, state, final=True)
     stop = StopReason.RUNNING
     while stop is StopReason.RUNNING:
@@ -172,6 +178,16 @@ def _procedure(
 
 
 # --- learning: steps 2 to 7
+
+
+def _probing(problem: Problem, settings: Huang2017Settings, state: State) -> Steps:
+    """Test the order where it decides; the paper takes it on trust."""
+    wide = inflated(problem.traffic, (1.0, INFLATE))
+    rng = problem.rng(PROBING)
+    pool = draw_pool(wide, problem.traffic, state.labels.coordinates, N_BOUNDS, rng)
+    snapshot = _snapshot(problem, settings, state)
+    labels = yield from probe(problem, state.labels, pool, snapshot)
+    return _proposing(problem, settings, replace(state, labels=labels), final=False)
 
 
 def _learned(problem: Problem, settings: Huang2017Settings, state: State) -> bool:
@@ -324,7 +340,7 @@ def _snapshot(
 ) -> Huang2017Snapshot:
     tally = state.tally
     return Huang2017Snapshot(
-        probability=tally.mean,
+        probability=max(tally.mean, 0.0) if tally.n else math.nan,  # audits may subtract
         interval=tally.interval(problem.confidence, 1 / settings.defensive_share),
         standard_error=tally.standard_error,
         bounds=state.bounds,
@@ -347,7 +363,7 @@ def _snapshot(
 def _alarms(state: State, stop: StopReason) -> tuple[Alarm, ...]:
     tally = state.tally
     raised = {
-        Alarm.NO_CRASH_FOUND: tally.n > 0 and tally.total <= 0.0,
+        Alarm.NO_CRASH_FOUND: tally.n > 0 and not (state.labels.y == 1).any(),
         Alarm.WEIGHTS_CONCENTRATED: tally.total > 0.0 and tally.largest_share > SHARE_LIMIT,
         Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
         Alarm.UNDECIDED_MASS_LARGE: state.bounds[1] > UNDECIDED_LIMIT * tally.mean > 0.0,

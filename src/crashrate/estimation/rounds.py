@@ -21,6 +21,12 @@ from crashrate.variables import FloatArray
 PRIOR_ROUNDS = 4
 PRIOR_DRAWS = 20
 MIN_ROUNDS = 4
+# No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
+# holds every draw to be safe predicts no variance at all.
+CERTAIN, TINY = 1e-4, 1e-40
+# A round whose prediction was below this share of the latest ones had not seen the crash set yet,
+# and what it was sure of was wrong: it is left out.
+MIN_PREDICTED, LATEST = 0.5, 3
 MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
 
 
@@ -68,6 +74,7 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     down, up = (float((factor * np.where(failed, e - h, 0.0)).sum() / n) for e in (0.0, 1.0))
     estimate = view.probability + float(moved.sum())
     variance = predicted_variance(view, drawn.probabilities, n) + view.pool_variance
+    variance = max(variance, (CERTAIN * view.probability) ** 2, TINY)
     largest = float(np.abs(moved).max())
     return Round(
         n_runs=len(np.unique(rows)),
@@ -99,6 +106,8 @@ class Combined:
         The interval within [0, 1]; failed simulations counted either way.
     scatter : float
         Mean squared deviation of the rounds over their predicted variance: about 1.
+    n_rounds : int
+        Rounds that counted.
     largest_share : float
         Largest contribution of a single run over the estimate.
     """
@@ -109,6 +118,7 @@ class Combined:
     lower: float
     upper: float
     scatter: float
+    n_rounds: int
     largest_share: float
 
 
@@ -126,6 +136,8 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     never below. Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant
     by 1.3 in standard deviation), and the few rounds' own scatter alone under-covers.
     """
+    latest = float(np.median([r.predicted for r in rounds[-LATEST:]]))
+    rounds = [r for r in rounds if r.predicted >= MIN_PREDICTED * latest]
     variance = np.array([r.variance for r in rounds])
     share = _shares(np.array([r.predicted for r in rounds]), variance)
     estimates = np.array([r.estimate for r in rounds])
@@ -146,6 +158,7 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         half_width=half_width,
         lower=max(lowest - half_width, 0.0),
         upper=min(highest + half_width, 1.0),
+        n_rounds=len(rounds),
         scatter=float(squares.mean()),
         largest_share=largest / center if center > 0 else 1.0,
     )

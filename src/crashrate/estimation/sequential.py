@@ -15,6 +15,7 @@ from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.crude import crude
+from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import N_RANKED, Explored, explore, inflated
 from crashrate.estimation.labels import Labels
@@ -33,7 +34,7 @@ from crashrate.sampling.gaussians import fit_gaussians
 from crashrate.sampling.pool import Blend, Density, draw_pool
 from crashrate.variables import FloatArray
 
-BEGINNING = 2_000_000  # the random stream between exploration and the first round
+BEGINNING, ENCOUNTERS = 2_000_000, 2_000_001  # random streams beside those of the rounds
 N_POOL = 20_000
 N_COMPONENTS = 12
 N_FIT = 1000  # draws per aim that the pool's proposal is fitted to
@@ -42,6 +43,7 @@ INFLATE = 4.0
 SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), inflated traffic
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
+LEARNING_SHARE = 0.5  # of the budget: beyond it, a wide interval is better than none
 GREEDY_SHARE = 0.4
 # The order is dropped when more outcomes than this contradict it by more than a ripple at the crash
 # set's edge (in the surrogate's standardised coordinates) would.
@@ -97,6 +99,7 @@ class State:
     proposal: Density
     model: Model
     rounds: tuple[Round, ...] = ()
+    encounters: Encounters | None = None
     dropped: bool = False
     k: int = 1
 
@@ -118,6 +121,10 @@ def sequential(problem: Problem) -> Learner:
     alarms = _alarms(problem, state, None, (0.0, 1.0))
     snapshot = Snapshot(learned=state.labels.learned, alarms=alarms)
     while state.labels.n < problem.max_calls:
+        if not state.ordered and state.encounters is None:
+            labels, met = yield from meet(problem, state.labels, problem.rng(ENCOUNTERS))
+            state = replace(state, labels=labels, encounters=met, ordinary=state.ordinary[:0])
+            continue
         state, view = yield from _round(problem, state, snapshot)
         snapshot = _snapshot(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING:
@@ -130,10 +137,8 @@ def sequential(problem: Problem) -> Learner:
 
 def _begin(problem: Problem, explored: Explored) -> State:
     labels, u = explored.labels, explored.ordinary
-    if labels.learned is not None:
-        u = maximal(u)  # the order makes the rest of them safe too
     rng = problem.rng(BEGINNING)
-    ordinary = rng.permutation(u)[: MAX_ORDINARY * (1 if labels.learned else 3)]
+    ordinary = rng.permutation(maximal(u))[:MAX_ORDINARY]  # the order makes the rest safe too
     reach = labels.coordinates(_inside(problem, explored, rng))
     standardise = Standardiser.weighted(reach, np.full(len(reach), 1 / len(reach)))
     dropped = problem.order is not None and labels.learned is None
@@ -155,7 +160,8 @@ def _round(
     for _ in range(2 if state.k == 1 else 0):  # the first proposal is only inflated traffic
         proposal = _aim(problem, _see(problem, state, surrogate, proposal, rng), state, rng)
     view = _see(problem, state, surrogate, proposal, rng)
-    if view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability:
+    unsure = view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability
+    if unsure and state.labels.n < LEARNING_SHARE * problem.max_calls:
         rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
@@ -265,13 +271,15 @@ def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
     bounds = view.bounds() if state.ordered else (0.0, 1.0)
     start = Snapshot(learned=state.labels.learned, bounds=bounds, phase="learn")
     if not state.rounds:
-        return replace(start, alarms=_alarms(problem, state, None, bounds))
+        e = state.encounters or Encounters()
+        seen = interval(e.n_crashes, e.n, problem.confidence)
+        return replace(start, interval=seen, alarms=_alarms(problem, state, None, bounds))
     c = combine(state.rounds, problem.confidence)
     n_runs = sum(r.n_runs for r in state.rounds)
     return replace(
         start,
         probability=c.estimate,
-        interval=(c.lower, c.upper),
+        interval=_interval(problem, state, c),
         standard_error=c.standard_error,
         n_eff=(c.estimate / c.standard_error) ** 2,
         largest_weight_share=c.largest_share,
@@ -282,9 +290,17 @@ def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
     )
 
 
+def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float]:
+    e = state.encounters
+    if e is None or not e.speak_against(c.upper):
+        return c.lower, c.upper
+    return c.lower, max(c.upper, interval(e.n_crashes, e.n, problem.confidence)[1])
+
+
 def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
-    narrow = (c.upper - c.lower) / 2 <= problem.relative_half_width * c.estimate
-    if len(state.rounds) >= MIN_ROUNDS and c.estimate > 0 and narrow:
+    low, high = _interval(problem, state, c)
+    narrow = (high - low) / 2 <= problem.relative_half_width * c.estimate
+    if c.n_rounds >= MIN_ROUNDS and c.estimate > 0 and narrow:
         return StopReason.TARGET_MET
     return StopReason.RUNNING
 
@@ -296,6 +312,11 @@ def _alarms(
         Alarm.ORDER_DROPPED: state.dropped,
         Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
         Alarm.NO_ORDER: problem.order is None or not state.ordered,
+        Alarm.ENCOUNTERS_DISAGREE: (
+            c is not None
+            and state.encounters is not None
+            and state.encounters.speak_against(c.upper)
+        ),
         Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
         Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
         Alarm.UNDECIDED_MASS_LARGE: (

@@ -10,7 +10,7 @@ from typing import Self
 
 from scipy.special import stdtrit
 
-from crashrate.estimation.crude import upper_end
+from crashrate.estimation.encounters import interval
 from crashrate.variables import FloatArray
 
 
@@ -93,6 +93,6 @@ class Tally:
         if self.n == 0:
             return 0.0, 1.0
         if self.total <= 0.0 and self.failed == 0.0:
-            return 0.0, min(largest_weight * upper_end(0, self.n, confidence), 1.0)
+            return 0.0, min(largest_weight * interval(0, self.n, confidence)[1], 1.0)
         half = self.half_width(confidence)
         return max(self.mean - half, 0.0), min(self.mean + self.failed / self.n + half, 1.0)
