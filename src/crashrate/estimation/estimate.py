@@ -102,7 +102,7 @@ class Estimate:
         return (
             f"{self._head(event, per)}, {100 * self.confidence:g} % interval "
             f"[{low:.1e}, {high:.1e}]{self._relative()}; "
-            f"{self.n_calls} simulator runs{self._crude()}"
+            f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}{self._crude()}"
         )
 
     def _head(self, event: str, per: str) -> str:
