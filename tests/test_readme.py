@@ -5,8 +5,8 @@ import shlex
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from typer.main import get_command
+from typer.testing import CliRunner
 
 from crashrate.cli import app
 
@@ -47,7 +47,7 @@ def test_commands_are_understood(line):
 def test_every_command_explains_itself():
     group = get_command(app)
     for name in group.commands:
-        result = CliRunner().invoke(group, [name, "--help"])
+        result = CliRunner().invoke(app, [name, "--help"])
         assert result.exit_code == 0
         assert "Examples:" in result.output
 
