@@ -15,7 +15,7 @@ from scipy.special import log_ndtr, ndtr
 from crashrate.variables import BoolArray, FloatArray
 
 MAX_SWEEPS = 25
-SWEEP_TOLERANCE = 0.01
+SWEEP_TOLERANCE = 0.02
 DAMPING = 0.7  # parallel updates oscillate undamped
 MIN_VARIANCE = 1e-10
 
