@@ -397,3 +397,16 @@ def test_demo_folder_is_named_after_its_seed(short_demo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     crashrate("demo", "--seed", "5")
     assert (tmp_path / "runs" / "demo-5" / "result.json").is_file()
+
+
+def test_a_simulator_that_only_fails_is_an_error(tmp_path, monkeypatch):
+    own = Path(__file__).resolve().parents[1] / "examples" / "own_vehicle.toml"
+    text = own.read_text(encoding="utf-8").replace("my_vehicle:", "broken_vehicle:")
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    source = "def simulate(x):\n    return [float('nan')] * len(x)\n"
+    (tmp_path / "broken_vehicle.py").write_text(source, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    arguments = ["run", "own.toml", "--traffic", "published", "--out", "out"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 1
+    assert "all 20 simulations failed" in result.output

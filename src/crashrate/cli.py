@@ -322,8 +322,8 @@ def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int
         typer.echo(f"{_runs(taken, 'outcome')} taken from {directory}, {new}.", err=True)
     _print_result(runner.status(directory), output)  # first: a report that fails must not hide it
     typer.echo(f"{directory / 'result.json'}, {_write_report(directory)}", err=True)
-    if estimate.stop_reason.name != "TARGET_MET":
-        raise typer.Exit(TARGET_NOT_MET)
+    codes = {"TARGET_MET": 0, "ALL_FAILED": ERROR}
+    raise typer.Exit(codes.get(estimate.stop_reason.name, TARGET_NOT_MET))
 
 
 def _write_report(directory: Path) -> Path:
