@@ -28,7 +28,7 @@ MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
-MAX_SPACE_FILLING = 400
+MAX_SPACE_FILLING = 200
 
 Exploration = Generator[Query, FloatArray, "Explored"]
 
@@ -137,7 +137,7 @@ def _fill_space(
     x, u = pool.x[rows], pool.u[rows]
     z = (u - u.mean(axis=0)) / u.std(axis=0)
     distance = (z * z).sum(axis=1)
-    for _ in range(min(MAX_SPACE_FILLING, problem.max_calls // 2)):
+    for _ in range(MAX_SPACE_FILLING):
         if (labels.y == 1).any() or labels.n >= problem.max_calls:
             break
         row = int(distance.argmax())

@@ -43,7 +43,9 @@ INFLATE = 4.0
 SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), inflated traffic
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
-LEARNING_SHARE = 0.5  # of the budget: beyond it, a wide interval is better than none
+# Beyond so many runs a wide interval is better than none. (Not a share of the budget: a run whose
+# budget grows must go on as it was.)
+LEARNING_RUNS = 300
 GREEDY_SHARE = 0.4
 # The order is dropped when more outcomes than this contradict it by more than a ripple at the crash
 # set's edge (in the surrogate's standardised coordinates) would.
@@ -161,7 +163,7 @@ def _round(
         proposal = _aim(problem, _see(problem, state, surrogate, proposal, rng), state, rng)
     view = _see(problem, state, surrogate, proposal, rng)
     unsure = view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability
-    if unsure and state.labels.n < LEARNING_SHARE * problem.max_calls:
+    if unsure and state.labels.n < LEARNING_RUNS:
         rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
