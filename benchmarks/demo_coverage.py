@@ -62,7 +62,7 @@ def contributions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The draws inside the box and f/q for those that crash, 0 for the others."""
     x = proposal.sample(n, rng)
-    x = x[((x >= traffic.lower) & (x <= traffic.upper)).all(axis=1)]
+    x = x[traffic.contains(x)]
     weights = np.exp(traffic.log_density(x) - proposal.log_density(x))
     return x, weights * np.asarray(simulate(x), dtype=float)
 

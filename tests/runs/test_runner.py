@@ -249,7 +249,12 @@ def test_other_traffic_is_refused(scenario, traffic, uninterrupted):
 def test_comments_events_target_and_provenance_are_not_the_run(scenario, traffic, uninterrupted):
     text = scenario.text.replace("max_calls = 60", "max_calls = 50  # fewer")
     other = Scenario.from_text(text, "another_name")
-    run(other, replace(traffic, provenance={"note": "same numbers"}), uninterrupted, **SETTINGS)
+    before = status(uninterrupted)
+    got = run(
+        other, replace(traffic, provenance={"note": "same numbers"}), uninterrupted, **SETTINGS
+    )
+    assert got.n_calls == before["n_calls"]
+    assert got.probability == before["probability"]
 
 
 def test_replay_that_parts_is_refused(go, uninterrupted):

@@ -2,6 +2,10 @@
 
 from enum import StrEnum
 
+# The limits that WEIGHTS_CONCENTRATED and UNDECIDED_MASS_LARGE speak of.
+SHARE_LIMIT = 0.25
+UNDECIDED_LIMIT = 50.0
+
 
 class Alarm(StrEnum):
     """A named doubt about an estimate; the value is what a person reads."""

@@ -11,6 +11,8 @@ from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.variables import FloatArray
 
+CRUDE = 1_000_000  # the random stream, beside those of the rounds
+
 
 def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labels | Snapshot]:
     """Simulate random encounters until one crashes, or the budget ends.
@@ -22,7 +24,7 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
     Snapshot
         Where none crashed: probability 0 with the upper end that the safe random encounters leave.
     """
-    rng, n_safe, n_failed = problem.rng(1_000_000), 0, 0
+    rng, n_safe, n_failed = problem.rng(CRUDE), 0, 0
     while labels.n < problem.max_calls:
         # drawn whole and then cut, so that a larger budget goes on with the same draws
         x = problem.traffic.sample(problem.batch_size, rng)[: problem.max_calls - labels.n]

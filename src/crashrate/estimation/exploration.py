@@ -16,7 +16,6 @@ from crashrate.estimation.strategy import Problem, Query
 from crashrate.sampling.gaussians import Gaussians
 from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.traffic.model import TrafficModel
-from crashrate.traffic.truncated_normal import box_moments
 from crashrate.variables import FloatArray
 
 N_WIDE = 80_000
@@ -63,10 +62,9 @@ def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:
     hardly a draw into it.
     """
     k = traffic.n_components * len(factors)
-    inside = box_moments(traffic.means, traffic.covariances, traffic.lower, traffic.upper).mean
     return Gaussians(
         np.full(k, 1 / k),
-        np.concatenate([inside] * len(factors)),
+        np.concatenate([traffic.component_means] * len(factors)),
         np.concatenate([traffic.covariances * f for f in factors]),
     )
 

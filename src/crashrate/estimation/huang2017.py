@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError
-from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.exact_bounds import exact_bounds
-from crashrate.estimation.exploration import inflated
+from crashrate.estimation.exploration import INFLATION, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import probe
 from crashrate.estimation.settling import Settled, settle
@@ -35,9 +35,6 @@ from crashrate.variables import FloatArray
 ESTIMATING = 10_000  # batches are numbered from here on while estimating
 BOUNDING = 20_000
 PROBING = 30_000
-INFLATE = 4.0
-SHARE_LIMIT = 0.25
-UNDECIDED_LIMIT = 50.0
 # the normal interval is not looked at before the estimate rests on as many equal crashes
 MIN_N_EFF = 10.0
 N_BOUNDS = 20_000
@@ -182,7 +179,7 @@ def _procedure(
 
 def _probing(problem: Problem, settings: Huang2017Settings, state: State) -> Steps:
     """Test the order where it decides; the paper takes it on trust."""
-    wide = inflated(problem.traffic, (1.0, INFLATE))
+    wide = inflated(problem.traffic, (1.0, INFLATION))
     rng = problem.rng(PROBING)
     pool = draw_pool(wide, problem.traffic, state.labels.coordinates, N_BOUNDS, rng)
     snapshot = _snapshot(problem, settings, state)

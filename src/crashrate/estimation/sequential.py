@@ -13,11 +13,11 @@ import numpy as np
 
 from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
-from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.crude import crude
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
-from crashrate.estimation.exploration import N_RANKED, Explored, explore, inflated
+from crashrate.estimation.exploration import INFLATION, N_RANKED, Explored, explore, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -39,7 +39,6 @@ N_POOL = 20_000
 N_COMPONENTS = 12
 N_FIT = 1000  # draws per aim that the pool's proposal is fitted to
 WIDEN = 1.3
-INFLATE = 4.0
 SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), inflated traffic
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
@@ -51,8 +50,6 @@ GREEDY_SHARE = 0.4
 # set's edge (in the surrogate's standardised coordinates) would.
 MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE, RIPPLE = 6, 0.1, 0.25
 SCATTER_LIMIT = 3.0
-SHARE_LIMIT = 0.25
-UNDECIDED_LIMIT = 50.0
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 KERNELS = tuple(
@@ -149,7 +146,7 @@ def _begin(problem: Problem, explored: Explored) -> State:
 
 def _inside(problem: Problem, explored: Explored, rng: np.random.Generator) -> FloatArray:
     x = explored.wide.sample(N_POOL, rng)
-    return x[np.all((x >= problem.traffic.lower) & (x <= problem.traffic.upper), axis=1)]
+    return np.asarray(x[problem.traffic.contains(x)])
 
 
 def _round(
@@ -254,7 +251,7 @@ def _aim(problem: Problem, view: View, state: State, rng: np.random.Generator) -
     rows = np.concatenate([rng.choice(len(view.h), N_FIT, p=p) for p in aims])
     fitted = fit_gaussians(view.pool.x[rows], N_COMPONENTS, rng)
     fitted = replace(fitted, covariances=fitted.covariances * WIDEN)
-    return Blend(SHARES, (fitted, problem.traffic, inflated(problem.traffic, (INFLATE,))))
+    return Blend(SHARES, (fitted, problem.traffic, inflated(problem.traffic, (INFLATION,))))
 
 
 def _distrust(state: State, view: View) -> State:

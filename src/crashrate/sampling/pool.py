@@ -101,7 +101,7 @@ def draw_pool(
     rng : Generator
     """
     x = proposal.sample(n, rng)
-    x = x[np.all((x >= traffic.lower) & (x <= traffic.upper), axis=1)]
+    x = x[traffic.contains(x)]
     return Pool(x, coordinates(x), traffic.log_density(x), proposal.log_density(x), n)
 
 

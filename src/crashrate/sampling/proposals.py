@@ -92,19 +92,14 @@ class Proposal:
 
     def _standard_coefficients(self) -> FloatArray:
         shift, scale = self._standard
-        covariances = self.covariances / np.outer(scale, scale)
-        with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
-            log_weights = np.log(self.weights)
-        log_scale = (
-            log_weights
-            - self.log_masses
-            - 0.5 * np.linalg.slogdet(covariances)[1]
-            - 0.5 * self.n_variables * np.log(2.0 * np.pi)
-            - np.log(scale).sum()
+        return quadratic.truncated_coefficients(
+            self.weights,
+            self.log_masses,
+            self.means,
+            self.covariances,
+            shift=shift,
+            scale=scale,
         )
-        means = (self.means - shift) / scale
-        precisions = np.asarray(np.linalg.inv(covariances), np.float64)
-        return quadratic.coefficients(log_scale, means, precisions)
 
     def log_density(self, x: npt.ArrayLike) -> FloatArray:
         """Log density (n,) of rows x (n, d); -inf outside the box.

@@ -50,6 +50,8 @@ class TrafficModel:
     ----------
     log_masses : ndarray (K,)
         Log probability P_k of the box under each untruncated component.
+    component_means : ndarray (K, d)
+        Means of the truncated components, inside the box.
     mean, covariance : ndarray (d,), (d, d)
         Moments of the mixture.
 
@@ -68,6 +70,7 @@ class TrafficModel:
     names: tuple[str, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     log_masses: FloatArray = field(init=False, repr=False)
+    component_means: FloatArray = field(init=False, repr=False)
     mean: FloatArray = field(init=False, repr=False)
     covariance: FloatArray = field(init=False, repr=False)
     _coefficients: FloatArray = field(init=False, repr=False)
@@ -101,6 +104,7 @@ class TrafficModel:
         covariance = np.einsum("k,kij->ij", self.weights, parts.covariance) + between
         self._set(
             log_masses=frozen(parts.log_probability),
+            component_means=frozen(parts.mean),
             mean=frozen(mean),
             covariance=frozen(covariance),
         )
@@ -111,21 +115,14 @@ class TrafficModel:
 
     def _standard_coefficients(self) -> FloatArray:
         """Coefficients of log w_k g_k in the features of (x - mean) / scale."""
-        scale = self._scale
-        covariances = self.covariances / (scale[:, None] * scale)
-        log_determinants = np.linalg.slogdet(covariances)[1]
-        with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
-            log_weights = np.log(self.weights)
-        log_scale: FloatArray = (
-            log_weights
-            - self.log_masses
-            - 0.5 * log_determinants
-            - 0.5 * self.n_variables * np.log(2.0 * np.pi)
-            - np.log(scale).sum()
+        return quadratic.truncated_coefficients(
+            self.weights,
+            self.log_masses,
+            self.means,
+            self.covariances,
+            shift=self.mean,
+            scale=self._scale,
         )
-        means = (self.means - self.mean) / scale
-        precisions = np.asarray(np.linalg.inv(covariances), float)
-        return quadratic.coefficients(log_scale, means, precisions)
 
     @property
     def n_components(self) -> int:

@@ -44,6 +44,34 @@ def coefficients(log_scale: FloatArray, means: FloatArray, precisions: FloatArra
     return np.hstack([constant[:, None], linear, precisions[:, i, j] * pair_factors(d)])
 
 
+def truncated_coefficients(
+    weights: FloatArray,
+    log_masses: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    *,
+    shift: FloatArray,
+    scale: FloatArray,
+) -> FloatArray:
+    """Coefficients of log w_k N(x; m_k, C_k) / P_k in the features of (x - shift) / scale.
+
+    In standard coordinates, with the Jacobian in the constant: the coefficients then are of
+    moderate size whatever the units.
+    """
+    standard = covariances / np.outer(scale, scale)
+    with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
+        log_weights = np.log(weights)
+    log_scale = (
+        log_weights
+        - log_masses
+        - 0.5 * np.linalg.slogdet(standard)[1]
+        - 0.5 * len(scale) * np.log(2.0 * np.pi)
+        - np.log(scale).sum()
+    )
+    precisions = np.asarray(np.linalg.inv(standard), np.float64)
+    return coefficients(log_scale, (means - shift) / scale, precisions)
+
+
 def blocks(n: int) -> Iterator[slice]:
     """Slices that cover n rows."""
     for start in range(0, n, BLOCK):
