@@ -38,7 +38,9 @@ def problem(cases):
 
 def raised(problem, rounds=CALM, bounds=BOUNDS, labels=None, *, dropped=False):
     labels = Labels.empty(problem) if labels is None else labels
-    state = sequential.State(labels, np.empty((0, 2)), problem.traffic, None, dropped=dropped)
+    state = sequential.State(
+        labels, np.empty((0, 2)), problem.traffic, None, dropped_at=5 if dropped else None
+    )
     combined = combine(rounds, 0.95) if rounds else None
     return sequential._alarms(problem, state, combined, bounds)
 

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
+from scipy.stats import norm
 
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.run import estimate
 
 
 @pytest.mark.parametrize(
@@ -81,3 +84,38 @@ def test_few_calls_are_enough_for_a_rare_event(cases):
     assert got.log_efficiency > 1.5
     assert got.n_eff > 100
     assert 0 < got.largest_weight_share < 0.25
+
+
+def rippled(amplitude):
+    """Half-plane whose edge is a sine wave, so steep that the declared order is false there."""
+    level = norm.isf(1e-4)
+    wave = lambda t: amplitude * np.sin(30 * t)  # noqa: E731
+    t = np.linspace(-8, 8, 100_001)
+    p = float(trapezoid(norm.pdf(t) * norm.sf(level - wave(t)), t))
+
+    def crash(x):
+        along, across = (x[:, 0] - x[:, 1]) / np.sqrt(2), (x[:, 0] + x[:, 1]) / np.sqrt(2)
+        return across + wave(along) > level
+
+    return p, crash
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "dropped"), [(0.0, False), (0.05, False), (0.4, True)], ids=str
+)
+def test_a_rippled_edge_costs_the_order_not_the_truth(cases, check_coverage, amplitude, dropped):
+    p, crash = rippled(amplitude)
+    got = [
+        estimate(
+            crash,
+            cases.standard_normal(2),
+            risk=cases.increasing(2),
+            seed=seed,
+            relative_half_width=0.25,
+            max_calls=300,
+        )
+        for seed in range(3)
+    ]
+    check_coverage([g.interval for g in got], p)
+    assert {Alarm.ORDER_DROPPED in g.alarms for g in got} == {dropped}
+    assert all((Alarm.ORDER_CONTRADICTED in g.alarms) <= (amplitude > 0) for g in got)

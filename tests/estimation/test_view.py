@@ -128,3 +128,38 @@ def test_contradicted_outcomes_are_presumed_where_no_other_says_the_opposite(cas
     assert safe.tolist() == [False, False, False, True, True, False]
     implied_crash, implied_safe = labels.implied(u)
     assert not (implied_crash | implied_safe).any()
+
+
+def test_contradictions_are_as_deep_as_their_least_coordinate(cases):
+    at = [[0.0, 0.0], [0.3, 1.0], [0.2, 0.1], [-3.0, 5.0]]
+    labels = labelled(cases.half_plane(0.2), at, [1, 0, 0, 1])
+    depths = labels.contradiction_depths(np.array([1.0, 1.0]))
+    assert sorted(depths) == pytest.approx([0.1, 0.3, 0.3])  # two safe outcomes, one crash
+    assert sorted(labels.contradiction_depths(np.array([0.1, 1.0]))) == pytest.approx([0.1, 1, 1])
+    assert not len(labels.without_order().contradiction_depths(np.ones(2)))
+    assert not len(labelled(cases.half_plane(0.2), at[:2], [0, 1]).contradiction_depths(np.ones(2)))
+
+
+def test_margin_asks_for_more_than_an_outcome_beyond_another(cases):
+    labels = labelled(cases.half_plane(0.2), [[0.0, 0.0], [-1.0, -1.0]], [1, 0])
+    u = np.array([[0.05, 2.0], [0.15, 0.15], [-1.05, -1.05], [-1.2, -1.2]])
+    crash, safe = labels.presumed(u, np.array([0.1, 0.1]))
+    assert crash.tolist() == [False, True, False, False]
+    assert safe.tolist() == [False, False, False, True]
+
+
+@pytest.mark.parametrize("ripple", [0.2, 0.4])
+def test_doubt_reaches_as_deep_as_the_contradictions_seen(cases, ripple):
+    # crashes and safe outcomes along both sides of a + b = 0, and one pair `ripple` deep
+    t = np.linspace(-2, 2, 81)
+    edge = np.stack([t, -t], axis=1)
+    pair = np.array([[-3.0, 3.0], [-3.0 + ripple, 3.0 + ripple]])
+    x = np.concatenate([edge + 0.02, edge - 0.02, pair])
+    y = np.array([1] * 81 + [0] * 81 + [1, 0])
+    labels = labelled(cases.half_plane(0.2), x, y)
+    view = looked_at(cases.half_plane(0.2), labels, n=20_000)
+    doubted = (view.inner | view.safe) & (view.h > 1e-3) & (view.h < 1 - 1e-3)
+    u = view.pool.u[doubted][:, None]
+    above, below = (u - x[y == 1]).min(axis=2).max(axis=1), (x[y == 0] - u).min(axis=2).max(axis=1)
+    depth = np.maximum(above, below).max()
+    assert 0.8 * ripple < depth <= ripple + 1e-9

@@ -32,7 +32,7 @@ class Alarm(StrEnum):
     )
     ORDER_DROPPED = (
         "the declared risk order was dropped: its most dangerous situations were safe, or too many "
-        "outcomes contradict it; the estimate was made without it"
+        "outcomes contradict it; the estimate trusts no outcome that it implies"
     )
     NO_ORDER = (
         "no risk order is in use: crash regions that no run came near are taken as safe, and "

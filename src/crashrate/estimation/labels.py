@@ -83,29 +83,34 @@ class Labels:
         """Outcomes that another outcome contradicts through the order."""
         return 0 if self.learned is None else self.learned.contradictions
 
-    def contradicted_deeper(self, depth: float, scale: FloatArray) -> int:
-        """Outcomes contradicted by more than `depth` times `scale` (m,) in every coordinate.
+    def contradiction_depths(self, scale: FloatArray) -> FloatArray:
+        """How deep each contradicted outcome is contradicted, in units of `scale` (m,): (k,).
 
-        A ripple at the edge of the crash set contradicts the order by no more than its own size;
-        an order that is wrong contradicts itself as deep as the runs reach.
+        That is the least of the coordinates' distances to the outcome that contradicts it most. A
+        ripple at the edge of the crash set contradicts the order by no more than its own size; an
+        order that is wrong contradicts itself as deep as the runs reach.
         """
         if self.learned is None or not self.contradictions:
-            return 0
+            return np.empty(0)
         u = self.learned.u[self.learned.contradicted] / scale
         crash = self.learned.crash[self.learned.contradicted]
         gap = (u[~crash][None] - u[crash][:, None]).min(axis=2)  # safe minus crash
-        deep = gap > depth
-        return int(deep.any(axis=0).sum() + deep.any(axis=1).sum())
+        return np.concatenate([gap.max(axis=0), gap.max(axis=1)])
 
-    def presumed(self, u: FloatArray) -> tuple[BoolArray, BoolArray]:
+    def presumed(
+        self, u: FloatArray, margin: FloatArray | float = 0.0
+    ) -> tuple[BoolArray, BoolArray]:
         """The same with contradicted outcomes counted too, where no other says the opposite.
 
         A set with ripples at its edge contradicts the order there, and nowhere else: giving up all
         that such an outcome implies would cost many runs far from the edge. Not for bounds.
+
+        With a `margin` (m,), only what is that far beyond an outcome in every coordinate.
         """
         crash, safe = np.zeros(len(u), dtype=bool), np.zeros(len(u), dtype=bool)
         if self.learned is not None:
-            crash, safe = above_any(u, self._least_crashes), below_any(u, self._most_safe)
+            crash = above_any(u - margin, self._least_crashes)
+            safe = below_any(u + margin, self._most_safe)
         return crash & ~safe, safe & ~crash
 
     @cached_property

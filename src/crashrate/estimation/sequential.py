@@ -47,8 +47,11 @@ ROUND = 10
 LEARNING_RUNS = 300
 GREEDY_SHARE = 0.4
 # The order is dropped when more outcomes than this contradict it by more than a ripple at the crash
-# set's edge (in the surrogate's standardised coordinates) would.
-MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE, RIPPLE = 6, 0.1, 0.25
+# set's edge (in the surrogate's standardised coordinates) would: it is false …
+MAX_CONTRADICTIONS, MAX_DEEP_SHARE, DEEP = 6, 0.1, 0.25
+# … or when this share contradicts it at all: danger may grow as declared, but where the runs are
+# outcomes do not imply one another (trusting them there lost a quarter of the probability).
+MAX_RIPPLED_SHARE = 0.25
 SCATTER_LIMIT = 3.0
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
@@ -91,7 +94,27 @@ class Model:
 
 @dataclass(frozen=True)
 class State:
-    """Everything a round starts from."""
+    """Everything a round starts from.
+
+    Parameters
+    ----------
+    labels : Labels
+    ordinary : ndarray, shape (n, m)
+        Risk coordinates of traffic's draws that the surrogate takes as safe.
+    proposal : Density
+        Of the next pool.
+    model : Model
+    rounds : tuple of Round
+        Those that estimate.
+    encounters : Encounters or None
+        Ordinary traffic, simulated where no order is in use.
+    directed : bool
+        Whether danger grows along the coordinates, though outcomes may not imply one another.
+    dropped_at : int or None
+        Simulator runs when the order was dropped.
+    k : int
+        Number of the round.
+    """
 
     labels: Labels
     ordinary: FloatArray
@@ -99,13 +122,19 @@ class State:
     model: Model
     rounds: tuple[Round, ...] = ()
     encounters: Encounters | None = None
-    dropped: bool = False
+    directed: bool = True
+    dropped_at: int | None = None
     k: int = 1
 
     @property
     def ordered(self) -> bool:
         """Whether a risk order is in use."""
         return self.labels.learned is not None
+
+    @property
+    def may_learn(self) -> bool:
+        """Whether runs may still go into learning alone."""
+        return self.labels.n < LEARNING_RUNS + (self.dropped_at or 0)
 
 
 def sequential(problem: Problem) -> Learner:
@@ -140,8 +169,16 @@ def _begin(problem: Problem, explored: Explored) -> State:
     ordinary = rng.permutation(maximal(u))[:MAX_ORDINARY]  # the order makes the rest safe too
     reach = labels.coordinates(_inside(problem, explored, rng))
     standardise = Standardiser.weighted(reach, np.full(len(reach), 1 / len(reach)))
-    dropped = problem.order is not None and labels.learned is None
-    return State(labels, ordinary, explored.wide, Model(standardise), dropped=dropped)
+    directed = labels.learned is not None
+    dropped = problem.order is not None and not directed
+    return State(
+        labels,
+        ordinary,
+        explored.wide,
+        Model(standardise),
+        directed=directed,
+        dropped_at=labels.n if dropped else None,
+    )
 
 
 def _inside(problem: Problem, explored: Explored, rng: np.random.Generator) -> FloatArray:
@@ -160,7 +197,7 @@ def _round(
         proposal = _aim(problem, _see(problem, state, surrogate, proposal, rng), state, rng)
     view = _see(problem, state, surrogate, proposal, rng)
     unsure = view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability
-    if unsure and state.labels.n < LEARNING_RUNS:
+    if unsure and state.may_learn:
         rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
@@ -237,7 +274,7 @@ def _fit(state: State) -> tuple[Surrogate, Model]:
 def _prior(kernel: Kernel, state: State) -> Prior:
     bump, length, variance = kernel
     length *= np.sqrt(state.labels.u.shape[1] / 3)
-    if state.ordered:
+    if state.directed:
         return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
     # without an order no direction is riskier, and far from any crash is safe
     return Prior(bump, length, variance, linear=0.01, slope=0.0, constant=-4.0)
@@ -256,11 +293,18 @@ def _aim(problem: Problem, view: View, state: State, rng: np.random.Generator) -
 
 def _distrust(state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
-    labels = state.labels
-    limit = max(MAX_CONTRADICTIONS, MAX_CONTRADICTED_SHARE * labels.n)
-    if labels.contradicted_deeper(RIPPLE, state.model.standardise.scale) > limit:
-        model = state.model.forgetting()
-        return replace(state, labels=labels.without_order(), rounds=(), dropped=True, model=model)
+    n = state.labels.n
+    depths = state.labels.contradiction_depths(state.model.standardise.scale)
+    false = (depths > DEEP).sum() > max(MAX_CONTRADICTIONS, MAX_DEEP_SHARE * n)
+    if false or len(depths) > max(MAX_CONTRADICTIONS, MAX_RIPPLED_SHARE * n):
+        return replace(
+            state,
+            labels=state.labels.without_order(),
+            rounds=(),
+            directed=not false,
+            dropped_at=n,
+            model=state.model.forgetting(),
+        )
     if len(state.ordinary) and view.probability * N_RANKED > ORDINARY_CRASHES:
         return replace(state, ordinary=state.ordinary[:0], model=state.model.forgetting())
     return state
@@ -308,7 +352,7 @@ def _alarms(
     problem: Problem, state: State, c: Combined | None, bounds: tuple[float, float]
 ) -> tuple[Alarm, ...]:
     raised = {
-        Alarm.ORDER_DROPPED: state.dropped,
+        Alarm.ORDER_DROPPED: state.dropped_at is not None,
         Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
         Alarm.NO_ORDER: problem.order is None or not state.ordered,
         Alarm.ENCOUNTERS_DISAGREE: (

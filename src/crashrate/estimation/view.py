@@ -20,11 +20,12 @@ UNSURE = 1e-9  # a surrogate is never certain
 FAR = 1e-3  # without an order, what the surrogate holds below this is taken as safe …
 FAR_PROBABILITY = 1e-14  # … (NO_ORDER alarm): its tails are the prior's, not the data's
 OBJECTION = 0.5  # an implied label counts unless the surrogate holds the opposite likelier
-# Within this distance of the surrogate's edge (standardised coordinates) an implied outcome keeps
-# at least this much doubt, so that it is simulated now and then. Certainty would lose the crashes
-# of a set that is monotone but for ripples at its edge: 2 % of the probability of the ACC+AEB plant
-# (its 0.1 s control step). A smooth edge has next to no mass implied so near, and pays nothing.
-EDGE, EDGE_DOUBT = 0.1, 0.01
+# An implied outcome keeps at least EDGE_DOUBT where it is implied by less than a ripple's depth and
+# the surrogate's edge is within two of them, so that it is simulated now and then. Certainty would
+# lose the crashes of a set that is monotone but for ripples at its edge: 2 % of the probability of
+# the ACC+AEB plant (its 0.1 s control step). Ripples are as deep as the deepest contradiction seen,
+# and at least RIPPLE (standardised coordinates). A smooth edge has next to no mass so near.
+RIPPLE, EDGE_DOUBT = 0.05, 0.01
 # exponents of the traffic density and of h (1-h) where outcomes teach most about the crash set
 LEARN_DENSITY, LEARN_VARIANCE = 0.2, 3.0
 
@@ -142,7 +143,9 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     presumed_crash, presumed_safe = labels.presumed(pool.u)
     inner, outside = presumed_crash & (raw > 1 - OBJECTION), presumed_safe & (raw < OBJECTION)
     h = np.where(inner, 1.0, np.where(outside, 0.0, raw))
-    edge = (inner | outside) & (np.abs(seen.danger) < EDGE)
+    ripple = labels.contradiction_depths(standardise.scale).max(initial=RIPPLE)
+    deep_crash, deep_safe = labels.presumed(pool.u, ripple * standardise.scale)
+    edge = (inner | outside) & (np.abs(seen.danger) < 2 * ripple) & ~(deep_crash | deep_safe)
     h = np.where(edge, np.clip(raw, EDGE_DOUBT, 1 - EDGE_DOUBT), h)
     if labels.learned is None:
         h = np.where(h < FAR, FAR_PROBABILITY, h)
