@@ -45,6 +45,30 @@ class Direction(StrEnum):
             ) from None
 
 
+class Scale(StrEnum):
+    """On which scale a variable is modelled."""
+
+    LINEAR = "linear"
+    LOG = "log"
+
+    @classmethod
+    def parse(cls, value: str, where: str) -> "Scale":
+        """The scale named by `value`; `where` names its place in the error.
+
+        Raises
+        ------
+        InvalidInputError
+            If `value` is neither "linear" nor "log".
+        """
+        try:
+            return cls(value)
+        except ValueError:
+            raise InvalidInputError(
+                f"{where}: expected 'linear' or 'log', got {value!r}; 'log' models the logarithm "
+                "of a positive variable."
+            ) from None
+
+
 @dataclass(frozen=True, slots=True)
 class Variable:
     """One column of the traffic model.
@@ -57,12 +81,15 @@ class Variable:
         As printed, for example ``"m/s"``.
     lower, upper : float
         Bounds of the truncation, infinite where there is none.
+    scale : Scale
+        On which it is modelled.
     """
 
     name: str
     unit: str = ""
     lower: float = -math.inf
     upper: float = math.inf
+    scale: Scale = Scale.LINEAR
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -73,6 +100,11 @@ class Variable:
             raise InvalidInputError(
                 f"variable {self.name!r}: expected lower < upper, "
                 f"got lower = {self.lower} and upper = {self.upper}."
+            )
+        if self.scale is Scale.LOG and not self.lower >= 0.0:
+            raise InvalidInputError(
+                f"variable {self.name!r}: expected lower >= 0 on a log scale, got {self.lower}; "
+                "give it a lower bound, or the scale 'linear'."
             )
 
 

@@ -1,7 +1,7 @@
 """Risk order: which way a situation becomes more dangerous, coordinate by coordinate."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError
 from crashrate.expressions import Expression, HalfSpace
+from crashrate.traffic.scales import Scales
 from crashrate.variables import Direction, FloatArray, as_rows, nearest
 
 RowFunction = Callable[[FloatArray], npt.ArrayLike]
@@ -64,10 +65,13 @@ class RiskOrder:
         At least one.
     variables : tuple of str
         Names of the columns of x.
+    scales : Scales or None
+        Where given, rows are not x but what a traffic model makes normal of it.
     """
 
     coordinates: tuple[RiskCoordinate, ...]
     variables: tuple[str, ...]
+    scales: Scales | None = None
 
     @classmethod
     def from_mapping(cls, risk: RiskMapping, names: Sequence[str]) -> "RiskOrder":
@@ -116,6 +120,8 @@ class RiskOrder:
             If x has another shape, or a coordinate is not finite: named with its row.
         """
         rows = as_rows(x, len(self.variables))
+        if self.scales is not None:
+            rows = self.scales.back(rows)
         u = np.empty((len(rows), self.n_coordinates))
         for k, coordinate in enumerate(self.coordinates):
             u[:, k] = coordinate.values(rows)
@@ -159,6 +165,8 @@ class RiskOrder:
             The set inside the box is {x: normal @ x >= offset};
             None where the set is not known to be a half-space.
         """
+        if self.scales is not None and not self.scales.linear:
+            return self._modelled_half_space(self.scales, k, level, lower, upper)
         coordinate = self.coordinates[k]
         if coordinate.index is not None:
             normal = np.zeros(len(self.variables))
@@ -167,6 +175,31 @@ class RiskOrder:
         if isinstance(coordinate.function, Expression):
             return coordinate.function.half_space(level, coordinate.direction.sign, lower, upper)
         return None
+
+    def on(self, scales: Scales) -> "RiskOrder":
+        """The same order of the rows that a traffic model with these scales makes normal."""
+        return self if scales.linear else replace(self, scales=scales)
+
+    def _modelled_half_space(
+        self,
+        scales: Scales,
+        k: int,
+        level: float,
+        lower: npt.ArrayLike | None,
+        upper: npt.ArrayLike | None,
+    ) -> HalfSpace | None:
+        """A half-space of x as one of z: where it leaves logarithms out, or asks for one alone."""
+        sides = [None if side is None else scales.back(side) for side in (lower, upper)]
+        found = replace(self, scales=None).half_space(k, level, *sides)
+        if found is None or not (found.normal[scales.log] != 0.0).any():
+            return found
+        (there,) = np.nonzero(found.normal)
+        if len(there) > 1:
+            return None
+        sign = np.sign(found.normal)
+        edge = max(found.offset / float(found.normal[there[0]]), 0.0)  # no logarithm below
+        with np.errstate(divide="ignore"):
+            return HalfSpace(sign, float(sign[there[0]] * np.log(edge)))
 
 
 def _coordinate(name: str, entry: Any, variables: tuple[str, ...]) -> RiskCoordinate:

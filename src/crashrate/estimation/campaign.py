@@ -87,9 +87,11 @@ class Campaign:
                 f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
             )
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
+        self._traffic = traffic
+        # methods work where the components are normal; situations come out in the variables' units
         self._problem = Problem(
-            traffic=traffic,
-            order=order,
+            traffic=traffic.modelled,
+            order=order and order.on(traffic.scales),
             relative_half_width=relative_half_width,
             max_calls=max_calls,
             confidence=confidence,
@@ -234,7 +236,8 @@ class Campaign:
         except StopIteration as end:
             self._pending, self._snapshot = None, end.value
         else:
-            self._pending, self._snapshot = query.x, query.snapshot
+            self._pending = self._traffic.from_modelled(query.x)
+            self._snapshot = query.snapshot
 
     def _history_point(self) -> HistoryPoint:
         s = self._snapshot

@@ -1,6 +1,6 @@
 """The dominating point of every component on the learned inner and outer sets, to draw them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,12 +56,17 @@ def dominating_points(
     tuple of DominatingPoint, or None
         None where an orthant is not known to be a polyhedron in the variables.
     """
-    orthants = [_polyhedron(traffic, order, corner) for corner in corners]
+    modelled, order = traffic.modelled, order.on(traffic.scales)
+    orthants = [_polyhedron(modelled, order, corner) for corner in corners]
     known = [o for o in orthants if o is not None]
     if len(known) < len(orthants):
         return None
-    found = (_nearest(traffic, k, known) for k in range(len(traffic.weights)))
-    return tuple(point for point in found if point is not None)
+    found = (_nearest(modelled, k, known) for k in range(len(traffic.weights)))
+    return tuple(
+        replace(point, x=traffic.from_modelled(point.x[None])[0])
+        for point in found
+        if point is not None
+    )
 
 
 def _polyhedron(traffic: TrafficModel, order: RiskOrder, corner: FloatArray) -> Polyhedron | None:

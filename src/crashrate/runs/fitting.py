@@ -134,6 +134,7 @@ def fit_traffic(
             on_step=on_step,
             lower=scenario.lower,
             upper=scenario.upper,
+            scales=[v.scale for v in scenario.variables],
             random_state=seed,
         )
     model = selection.traffic_model(scenario.names)

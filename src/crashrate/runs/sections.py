@@ -10,7 +10,7 @@ from crashrate.errors import InvalidInputError, ScenarioError
 from crashrate.estimation.strategy import Problem
 from crashrate.expressions import Expression
 from crashrate.runs.keys import Table
-from crashrate.variables import Direction, Variable, nearest
+from crashrate.variables import Direction, Scale, Variable, nearest
 
 SIMULATOR_KEYS = {
     "acc-aeb": ("kind", "published", "closing_speed_cap", "ego_speed_cap"),
@@ -90,10 +90,11 @@ def read_variables(section: Table) -> tuple[Variable, ...]:
 
 
 def _variable(section: Table, name: str) -> Variable:
-    section.only(("unit", "lower", "upper"))
+    section.only(("unit", "lower", "upper", "scale"))
     lower, upper = section.number("lower", -math.inf), section.number("upper", math.inf)
     try:
-        return Variable(name, section.text("unit", ""), lower, upper)
+        scale = Scale.parse(section.text("scale", "linear"), f"{section.where} scale")
+        return Variable(name, section.text("unit", ""), lower, upper, scale)
     except InvalidInputError as error:
         raise ScenarioError(f"{section.where}: {error}") from error
 

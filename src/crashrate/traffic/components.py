@@ -61,6 +61,7 @@ class ComponentSelection:
             model.upper,
             model.names,
             {**model.provenance, "selection": curve},
+            model.scales,
         )
 
 

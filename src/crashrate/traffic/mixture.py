@@ -17,6 +17,7 @@ from crashrate.errors import InvalidInputError, NumericalError
 from crashrate.traffic.fitting import Algorithm, Fit, Schedule, fit_from
 from crashrate.traffic.model import TrafficModel, default_names
 from crashrate.traffic.objective import Events, Prior
+from crashrate.traffic.scales import Scales
 from crashrate.traffic.standard import Standard, checked_sides
 from crashrate.traffic.start import Start, k_means_start
 from crashrate.variables import FloatArray
@@ -38,6 +39,9 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         Number of components.
     lower, upper : float or array_like (d,), optional
         Sides of the box; None for no side at all, infinite where one variable has none.
+    scales : sequence of {"linear", "log"}, optional
+        Of each variable, linear by default: "log" models a positive variable's logarithm. Densities
+        and criteria stay in the units of the data, so that scales can be compared by them.
     algorithm : {"quasi-newton", "lee-scott"}
         "quasi-newton": a few EM steps, then L-BFGS on the natural parameters; converges.
         "lee-scott": the paper's EM, its steps safeguarded; slow where data pile up at a side.
@@ -53,7 +57,8 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         keep a component that models a slope at a side of the box from running away to infinity;
         0 for plain maximum likelihood.
     weights_init, means_init, precisions_init : array_like, optional
-        The start, (K,), (K, d) and (K, d, d), in the units of the data; by default k-means++.
+        The start, (K,), (K, d) and (K, d, d), as `weights_`, `means_` and inverse `covariances_`;
+        by default k-means++.
     random_state : int, RandomState or None
         Seed of the starts and of :meth:`sample`.
 
@@ -62,7 +67,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
     weights_ : ndarray (K,)
         Weights of the truncated components.
     means_, covariances_ : ndarray (K, d), (K, d, d)
-        Of the untruncated components.
+        Of the untruncated components; of logarithms where the scale is log.
     converged_ : bool
     n_iter_ : int
         Steps of the best fit.
@@ -96,6 +101,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         *,
         lower: npt.ArrayLike | None = None,
         upper: npt.ArrayLike | None = None,
+        scales: Sequence[str] | None = None,
         algorithm: str = "quasi-newton",
         tol: float = 1e-7,
         max_iter: int = 1000,
@@ -109,6 +115,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         self.n_components = n_components
         self.lower = lower
         self.upper = upper
+        self.scales = scales
         self.algorithm = algorithm
         self.tol = tol
         self.max_iter = max_iter
@@ -139,12 +146,17 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         rows = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         self._check_number_of(rows)
         lower, upper = checked_sides(self.lower, self.upper, rows)
-        standard = Standard.of(rows, lower, upper)
-        events = Events(standard.forward(rows), standard.box)
+        scales = Scales.parse(self.scales, rows.shape[1])
+        scales.require_positive(self._column_names(), rows, "X")
+        lower = np.where(scales.log, np.maximum(lower, 0.0), lower)
+        z = scales.forward(rows)
+        standard = Standard.of(z, scales.forward(lower), scales.forward(upper))
+        events = Events(standard.forward(z), standard.box)
         # The products are small and many: threads would only wait for each other.
         with threadpool_limits(limits=1, user_api="blas"):
             best, strength = self._best_fit(events, schedule, standard)
-        self._keep(best, strength, standard, rows)
+        self._n_events, self._sides, self._scales = len(rows), (lower, upper), scales
+        self._keep(best, strength, standard, float(scales.log_jacobian(rows).sum()))
         if not best.converged:
             warnings.warn(
                 f"not converged in {self.n_iter_} steps: the next still promises a gain of "
@@ -233,8 +245,8 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
             )
         return array
 
-    def _keep(self, best: Fit, strength: float, standard: Standard, rows: FloatArray) -> None:
-        """Store the results, in the units of the data."""
+    def _keep(self, best: Fit, strength: float, standard: Standard, log_jacobian: float) -> None:
+        """Store the results, in the units of the data; `log_jacobian` is that of all events."""
         parts = best.mixture.components
         weights = np.exp(best.mixture.log_weights)
         self.weights_ = weights / weights.sum()
@@ -247,12 +259,11 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         self.promise_ = best.promise
         self.n_safeguarded_ = best.n_safeguarded
         self.prior_strength_ = strength
-        self.log_likelihood_ = best.mixture.expectation.log_likelihood - len(rows) * float(
-            np.log(standard.scale).sum()
-        )
-        price = math.log(len(rows))
+        n = self._n_events
+        in_z = best.mixture.expectation.log_likelihood - n * float(np.log(standard.scale).sum())
+        self.log_likelihood_ = in_z + log_jacobian
+        price = math.log(n)
         self.bic_ = -2.0 * self.log_likelihood_ + price * self._n_parameters()
-        self._n_events, self._sides = len(rows), (standard.lower, standard.upper)
         self.model_ = self.traffic_model()
 
     def traffic_model(self, names: Sequence[str] | None = None) -> TrafficModel:
@@ -280,7 +291,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         lower, upper = self._sides
         return TrafficModel(
             self.weights_, self.means_, self.covariances_, lower, upper,
-            tuple(str(name) for name in names), provenance,
+            tuple(str(name) for name in names), provenance, self._scales,
         )  # fmt: skip
 
     def _column_names(self) -> Sequence[str]:

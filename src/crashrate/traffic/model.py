@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from crashrate.errors import InvalidInputError
 from crashrate.traffic import quadratic
 from crashrate.traffic.model_checks import checked_shapes, checked_weights, json_provenance
 from crashrate.traffic.model_json import from_document, to_document
+from crashrate.traffic.scales import Scales
 from crashrate.traffic.truncated_normal import (
     box_moments,
     log_box_probability,
@@ -26,40 +27,47 @@ _MIN_LOG_MASS = -690.0  # 1e-300
 
 @dataclass(frozen=True, eq=False)
 class TrafficModel:
-    """A mixture of normals truncated to a box (paper, eq. 2), in the variables' units.
+    """A mixture of normals truncated to a box (paper, eq. 2).
 
-    The density is sum_k w_k N(x; m_k, C_k) / P_k on the box, where P_k is the probability of the
-    box under the untruncated component, and 0 outside.
+    The density is sum_k w_k N(z; m_k, C_k) / P_k |dz/dx| on the box, where P_k is the probability
+    of the box under the untruncated component, and 0 outside. z is x, the situation in the
+    variables' units, with the logarithm of the variables on a log scale. Methods take and give x.
 
     Parameters
     ----------
     weights : array_like (K,)
         Weights of the truncated components.
     means : array_like (K, d)
-        Means of the untruncated components.
+        Means of the untruncated components, in z.
     covariances : array_like (K, d, d)
         Their covariances.
     lower, upper : array_like (d,)
-        The box, infinite where there is no limit.
+        The box in the variables' units, infinite where there is no limit; from 0 up where the
+        scale is log.
     names : sequence of str
         Names of the d variables, Python identifiers.
     provenance : mapping, optional
         Where the numbers come from: anything that JSON can hold.
+    scales : sequence of {"linear", "log"}, optional
+        Of each variable; linear by default.
 
     Attributes
     ----------
     log_masses : ndarray (K,)
         Log probability P_k of the box under each untruncated component.
     component_means : ndarray (K, d)
-        Means of the truncated components, inside the box.
+        Means of the truncated components, inside the box, in z.
     mean, covariance : ndarray (d,), (d, d)
-        Moments of the mixture.
+        Moments of the mixture, in z.
+    modelled : TrafficModel
+        The law of z, every scale linear: itself where z is x.
 
     Raises
     ------
     InvalidInputError
         If shapes do not fit, weights are not a distribution, a covariance is not positive
-        definite, a name is bad, or a component has practically no mass in the box.
+        definite, a name is bad, a scale does not fit its variable's bounds, or a component has
+        practically no mass in the box.
     """
 
     weights: FloatArray
@@ -69,18 +77,27 @@ class TrafficModel:
     upper: FloatArray
     names: tuple[str, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    scales: Scales = None  # type: ignore[assignment] # names become Scales
     log_masses: FloatArray = field(init=False, repr=False)
     component_means: FloatArray = field(init=False, repr=False)
     mean: FloatArray = field(init=False, repr=False)
     covariance: FloatArray = field(init=False, repr=False)
     _coefficients: FloatArray = field(init=False, repr=False)
+    _low: FloatArray = field(init=False, repr=False)
+    _high: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._set(names=tuple(self.names), provenance=json_provenance(self.provenance))
         for name in ("weights", "means", "covariances", "lower", "upper"):
             self._set(**{name: frozen(getattr(self, name))})
+        if not isinstance(self.scales, Scales):
+            self._set(scales=Scales.parse(self.scales, len(self.names)))
         checked_shapes(self)
-        self._set(weights=frozen(checked_weights(self.weights)))
+        self._set(
+            weights=frozen(checked_weights(self.weights)),
+            _low=frozen(self.scales.forward(self.lower)),
+            _high=frozen(self.scales.forward(self.upper)),
+        )
         self._set_moments()
         self._set(_coefficients=frozen(self._standard_coefficients()))
 
@@ -90,13 +107,13 @@ class TrafficModel:
 
     def _set_moments(self) -> None:
         """Masses of the components, and the mean and covariance of the mixture."""
-        parts = box_moments(self.means, self.covariances, self.lower, self.upper)
+        parts = box_moments(self.means, self.covariances, self._low, self._high)
         worst = int(np.argmin(parts.log_probability))
         if parts.log_probability[worst] < _MIN_LOG_MASS:
             raise InvalidInputError(
                 f"component {worst}: expected some of its mass in the box, got a log probability "
                 f"of {parts.log_probability[worst]:.4g}; its mean {self.means[worst]} lies too "
-                f"many standard deviations outside [{self.lower}, {self.upper}]."
+                f"many standard deviations outside [{self._low}, {self._high}]."
             )
         mean = self.weights @ parts.mean
         spread = parts.mean - mean
@@ -114,7 +131,7 @@ class TrafficModel:
         return np.sqrt(np.diagonal(self.covariance))
 
     def _standard_coefficients(self) -> FloatArray:
-        """Coefficients of log w_k g_k in the features of (x - mean) / scale."""
+        """Coefficients of log w_k g_k in the features of (z - mean) / scale."""
         return quadratic.truncated_coefficients(
             self.weights,
             self.log_masses,
@@ -166,17 +183,31 @@ class TrafficModel:
         """Draws (n, d) grouped by component, and the component (n,) of each."""
         counts = rng.multinomial(n, self.weights)
         parts = [
-            sample_truncated(mean, covariance, self.lower, self.upper, int(count), rng)
+            sample_truncated(mean, covariance, self._low, self._high, int(count), rng)
             for mean, covariance, count in zip(self.means, self.covariances, counts, strict=True)
             if count
         ]
-        x = np.concatenate([np.empty((0, self.n_variables)), *parts])
+        x = self.from_modelled(np.concatenate([np.empty((0, self.n_variables)), *parts]))
         return x, np.repeat(np.arange(self.n_components), counts)
 
+    @property
+    def modelled(self) -> "TrafficModel":
+        """The law of z, in which every component is a normal; see :meth:`from_modelled`."""
+        if self.scales.linear:
+            return self
+        return replace(self, lower=self._low, upper=self._high, scales=None)  # type: ignore[arg-type]
+
+    def from_modelled(self, z: FloatArray) -> FloatArray:
+        """Situations x (n, d) of rows z (n, d): in the box where z is, rounding or not."""
+        if self.scales.linear:
+            return z
+        return np.clip(self.scales.back(z), self.lower, self.upper)
+
     def contains(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Which rows (n, d) lie in the box, sides included: (n,)."""
+        """Which rows (n, d) lie in the box, sides included (but no logarithm of 0): (n,)."""
         rows = as_rows(x, self.n_variables)
-        return np.asarray(((rows >= self.lower) & (rows <= self.upper)).all(axis=1))
+        within = (rows >= self.lower) & (rows <= self.upper) & ~(self.scales.log & (rows <= 0.0))
+        return np.asarray(within.all(axis=1))
 
     def log_density(self, x: npt.ArrayLike) -> FloatArray:
         """Log density (n,) of rows (n, d); -inf outside the box.
@@ -190,6 +221,7 @@ class TrafficModel:
         out = np.empty(len(rows))
         for block in quadratic.blocks(len(rows)):
             out[block] = quadratic.log_sum(self._block_terms(rows[block]))
+        out += self._log_jacobian(rows)
         out[~self.contains(rows)] = -np.inf
         return out
 
@@ -199,6 +231,7 @@ class TrafficModel:
         out = np.empty((len(rows), self.n_components))
         for block in quadratic.blocks(len(rows)):
             out[block] = self._block_terms(rows[block]).T
+        out += self._log_jacobian(rows)[:, None]
         out[~self.contains(rows)] = -np.inf
         return out
 
@@ -213,9 +246,21 @@ class TrafficModel:
         return out
 
     def _block_terms(self, rows: FloatArray) -> FloatArray:
-        """log w_k g_k (K, n) of a block of rows, as if there were no box."""
-        terms = self._coefficients @ quadratic.features((rows - self.mean) / self._scale)
+        """log w_k g_k (K, n) of z at a block of rows x, as if there were no box."""
+        z = self._logarithms(rows)
+        terms = self._coefficients @ quadratic.features((z - self.mean) / self._scale)
         return np.asarray(terms)
+
+    def _logarithms(self, rows: FloatArray) -> FloatArray:
+        """z of rows x; any finite number where there is none, for that is outside the box."""
+        if self.scales.linear:
+            return rows
+        return self.scales.forward(np.where(self.scales.log & (rows <= 0.0), 1.0, rows))
+
+    def _log_jacobian(self, rows: FloatArray) -> FloatArray:
+        if self.scales.linear:
+            return np.zeros(len(rows))
+        return self.scales.log_jacobian(np.where(self.scales.log & (rows <= 0.0), 1.0, rows))
 
     def box_probability(self, lo: npt.ArrayLike, hi: npt.ArrayLike) -> FloatArray:
         """Probability of boxes under the model, without sampling.
@@ -266,6 +311,7 @@ class TrafficModel:
     def _log_box_parts(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """Log probability (m, K) of non-empty boxes under each untruncated component."""
         m, k = len(low), self.n_components
+        low, high = self.scales.forward(low), self.scales.forward(high)
         log_p = log_box_probability(
             np.tile(self.means, (m, 1)),
             np.tile(self.covariances, (m, 1, 1)),
@@ -295,7 +341,7 @@ class TrafficModel:
     def __reduce__(self) -> tuple[type["TrafficModel"], tuple[Any, ...]]:
         # Through the constructor, so that a copy's arrays are read-only too.
         names = ("weights", "means", "covariances", "lower", "upper", "names", "provenance")
-        return TrafficModel, tuple(getattr(self, name) for name in names)
+        return TrafficModel, (*(getattr(self, name) for name in names), self.scales)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TrafficModel):

@@ -55,6 +55,11 @@ def _check_sides(model: "TrafficModel") -> None:
             raise InvalidInputError(
                 f"variable {name!r}: expected lower < upper, got lower = {low} and upper = {high}."
             )
+    for name, low, log in zip(model.names, model.lower, model.scales.log, strict=True):
+        if log and not low >= 0.0:
+            raise InvalidInputError(
+                f"variable {name!r}: expected lower >= 0 on a log scale, got lower = {low}."
+            )
 
 
 def _check_covariances(covariances: FloatArray) -> None:

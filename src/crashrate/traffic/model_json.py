@@ -14,11 +14,13 @@ if TYPE_CHECKING:
 SCHEMA = "crashrate.traffic-model"
 VERSION = 1
 _REQUIRED = ("schema", "version", "names", "lower", "upper", "weights", "means", "covariances")
-_KNOWN = (*_REQUIRED, "provenance")
+_KNOWN = (*_REQUIRED, "provenance", "scales")
 
 
 def to_document(model: "TrafficModel") -> dict[str, Any]:
     """The numbers of a model; JSON has no infinity, so an open side is null."""
+    # absent where all are linear: what an earlier crashrate wrote stays equal to itself
+    scales = {} if model.scales.linear else {"scales": [str(s) for s in model.scales.each]}
     return {
         "schema": SCHEMA,
         "version": VERSION,
@@ -28,6 +30,7 @@ def to_document(model: "TrafficModel") -> dict[str, Any]:
         "weights": model.weights.tolist(),
         "means": model.means.tolist(),
         "covariances": model.covariances.tolist(),
+        **scales,
         "provenance": dict(model.provenance),
     }
 
@@ -99,6 +102,7 @@ def _arguments(document: dict[str, Any]) -> dict[str, Any]:
     for key in ("weights", "means", "covariances"):
         arguments[key] = _floats(document[key])
     arguments["names"] = tuple(document["names"])
+    arguments["scales"] = document.get("scales")
     arguments["provenance"] = dict(document.get("provenance", {}))
     return arguments
 
