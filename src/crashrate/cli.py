@@ -178,6 +178,17 @@ def fit(
         str,
         typer.Option(callback=_components, help="A number, a range such as 1:15, or auto (1:15)."),
     ] = "auto",
+    ensemble: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Further fits, to re-weighted events, that say what the events leave open.",
+        ),
+    ] = 0,
+    restarts: Annotated[int, typer.Option(min=1, help="Starts for each number of components.")] = 1,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Processes; the result does not depend on it.")
+    ] = 1,
     seed: Seed = 0,
     drop_invalid: Annotated[
         bool, typer.Option("--drop-invalid", help="Drop and count bad rows, do not refuse them.")
@@ -190,6 +201,12 @@ def fit(
     from crashrate.runs.scenario import Scenario
 
     require_file_place(out)
+    for name, given in (("EVENTS", events), ("--scenario", scenario)):
+        if out.exists() and given.exists() and out.samefile(given):
+            raise InvalidInputError(
+                f"--out: expected a file to write the traffic model to, got {out}, which is "
+                f"{name}; choose another."
+            )
     what, numbers = Scenario.from_file(scenario), fitting.parse_components(components)
     table = fitting.read_scenario_events(what, events, drop_invalid=drop_invalid)
     fitting.require_enough(table, numbers, events)
@@ -200,6 +217,9 @@ def fit(
             table,
             numbers,
             seed=seed,
+            n_restarts=restarts,
+            n_members=ensemble,
+            workers=workers,
             on_step=lambda done, total, message: say(f"fit {done} of {total}: {message}"),
         )
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -208,7 +228,8 @@ def fit(
     if warning := fitting.thin_data(len(table), model.n_components, model.n_variables):
         _show_warning(warning)
     names = ", ".join(model.names)
-    typer.echo(f"{out}: {model.n_components} truncated normal components in {names}")
+    members = f", with {ensemble} further fits" if ensemble else ""
+    typer.echo(f"{out}: {model.n_components} truncated normal components in {names}{members}")
 
 
 @_command(
@@ -341,6 +362,8 @@ def _print_result(result: dict[str, Any], output: Format) -> None:
     from crashrate.estimation.alarms import StopReason
 
     typer.echo(result["sentence"])
+    if traffic_range := result.get("traffic_range"):
+        typer.echo(traffic_range["sentence"])
     if result["synthetic"]:
         typer.echo(
             "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True

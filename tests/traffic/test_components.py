@@ -25,7 +25,8 @@ def test_the_criterion_finds_the_number_of_components():
     )
     assert chosen.candidates == (1, 2, 4)
     assert chosen.n_components == 2
-    assert chosen.best.n_components == 2
+    assert chosen.best.model.n_components == 2
+    assert chosen.admissible == (2,)
     assert all(chosen.converged)
     # More components fit better, and pay for it: K - 1 + K d + K d (d + 1) / 2 parameters.
     assert (np.diff(chosen.log_likelihood) > 0).all()

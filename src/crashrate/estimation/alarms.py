@@ -34,6 +34,14 @@ class Alarm(StrEnum):
         "the declared risk order was dropped: its most dangerous situations were safe, or too many "
         "outcomes contradict it; the estimate trusts no outcome that it implies"
     )
+    TRAFFIC_UNDETERMINED = (
+        "the recorded events do not determine the probability: traffic models that fit them about "
+        "as well differ by more than the interval says"
+    )
+    MEMBERS_UNDETERMINED = (
+        "some of the traffic models put their crashes where the simulator runs have seen too "
+        "little: their part of the range is rough"
+    )
     NO_ORDER = (
         "no risk order is in use: crash regions that no run came near are taken as safe, and "
         "the bounds say nothing"

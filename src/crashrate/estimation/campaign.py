@@ -40,7 +40,8 @@ class Campaign:
     Parameters
     ----------
     traffic : TrafficModel
-        How often each situation occurs.
+        How often each situation occurs. One with members stands for their average, and the
+        estimate says what each of them makes of the same runs.
     risk : mapping or None
         Which way is riskier: a variable's name, or a derived coordinate given as
         ``name: (function, direction)``, to "increasing" or "decreasing". None claims nothing.
@@ -90,7 +91,7 @@ class Campaign:
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units
         self._problem = Problem(
-            traffic=traffic.modelled,
+            traffic=traffic.average.modelled,
             order=order and order.on(traffic.scales),
             relative_half_width=relative_half_width,
             max_calls=max_calls,
@@ -214,6 +215,7 @@ class Campaign:
             method=self._method,
             seed=self._problem.seed,
             history=tuple(self._history),
+            traffic_range=s.traffic_range,
         )
 
     def _start(self) -> None:

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.traffic_range import TrafficRange
 
 SCHEMA = "crashrate.result/1"
 
@@ -52,6 +53,8 @@ class Estimate:
     seed : int
     history : tuple of HistoryPoint
         The estimate after every batch.
+    traffic_range : TrafficRange or None
+        The probability under each member of the traffic model; None where it has none.
     """
 
     probability: float
@@ -70,6 +73,7 @@ class Estimate:
     method: str
     seed: int
     history: tuple[HistoryPoint, ...]
+    traffic_range: TrafficRange | None = None
 
     @property
     def half_width(self) -> float:
@@ -133,6 +137,7 @@ class Estimate:
             "acceleration": self.acceleration,
             "alarms": [{"name": a.name, "message": a.value} for a in self.alarms],
             "stop_reason": self.stop_reason.value,
+            "traffic_range": self.traffic_range and self.traffic_range.to_dict(),
         }
         return {key: _json_ready(value) for key, value in record.items()}
 

@@ -6,7 +6,7 @@ from crashrate.estimation.strategy import Problem
 
 # Beyond these the exact bounds take longer than bounds from draws, and box probabilities in four
 # or more dimensions are themselves drawn.
-MAX_CORNERS, MAX_VARIABLES = 2000, 3
+MAX_CORNERS, MAX_VARIABLES, MAX_COMPONENTS = 2000, 3, 40
 
 
 def exact_bounds(problem: Problem, labels: Labels) -> tuple[float, float] | None:
@@ -14,5 +14,7 @@ def exact_bounds(problem: Problem, labels: Labels) -> tuple[float, float] | None
     if labels.learned is None or problem.order is None:
         return 0.0, 1.0
     if problem.traffic.n_variables > MAX_VARIABLES or len(labels.learned.corners) > MAX_CORNERS:
+        return None
+    if problem.traffic.n_components > MAX_COMPONENTS:
         return None
     return probability_bounds(labels.learned, problem.order, problem.traffic)

@@ -7,12 +7,13 @@ al. 1992 §6.3). Given the past, E[e] = p whatever h is, as long as pr > 0 where
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import stdtrit
 
 from crashrate.estimation.selection import Drawn
+from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.view import View, normalised
 from crashrate.variables import FloatArray
 
@@ -28,6 +29,11 @@ CERTAIN, TINY = 1e-4, 1e-40
 # and what it was sure of was wrong: it is left out.
 MIN_PREDICTED, LATEST = 0.5, 3
 MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
+
+
+def _none() -> FloatArray:
+    """Of a traffic model without members."""
+    return np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,8 @@ class Round:
         Sum of the squared contributions of the draws: what `variance` predicted, as it came out.
     largest : float
         Largest contribution of a single run.
+    members, member_variances : ndarray, shape (M,)
+        Estimates under the traffic model's members, and their predicted variances.
     """
 
     n_runs: int
@@ -62,10 +70,17 @@ class Round:
     n_draws: int
     squares: float
     largest: float
+    members: FloatArray = field(default_factory=_none)
+    member_variances: FloatArray = field(default_factory=_none)
 
 
-def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
-    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation."""
+def measure(
+    view: View, drawn: Drawn, outcomes: FloatArray, ratios: FloatArray | None = None
+) -> Round:
+    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation.
+
+    `ratios` (N, M) are the densities of the traffic model's members over its own, at the pool.
+    """
     rows, n = drawn.rows, len(drawn.rows)
     h = view.h[rows]
     factor = view.weights[rows] / drawn.probabilities[rows]
@@ -76,6 +91,9 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     variance = predicted_variance(view, drawn.probabilities, n) + view.pool_variance
     variance = max(variance, (CERTAIN * view.probability) ** 2, TINY)
     largest = float(np.abs(moved).max())
+    members = member_variances = _none()
+    if ratios is not None:
+        members, member_variances = _under_members(view, drawn, moved, ratios)
     return Round(
         n_runs=len(np.unique(rows)),
         estimate=estimate,
@@ -86,7 +104,20 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
         n_draws=n,
         squares=float(moved @ moved),
         largest=largest,
+        members=members,
+        member_variances=member_variances,
     )
+
+
+def _under_members(
+    view: View, drawn: Drawn, moved: FloatArray, ratios: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The same sums with each member's weights instead: estimates and variances (M,)."""
+    part = view.weights * view.h
+    estimates = part @ ratios + moved @ ratios[drawn.rows]
+    spread = view.spread**2 / np.maximum(drawn.probabilities, 1e-300) / len(drawn.rows)
+    pool = np.maximum(part**2 @ ratios**2 - (part @ ratios) ** 2 / view.pool.n_drawn, 0.0)
+    return estimates, np.maximum(spread @ ratios**2 + pool, TINY)
 
 
 def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
@@ -110,6 +141,8 @@ class Combined:
         Rounds that counted.
     largest_share : float
         Largest contribution of a single run over the estimate.
+    members : TrafficRange or None
+        The estimates under the traffic model's members.
     """
 
     estimate: float
@@ -120,6 +153,7 @@ class Combined:
     scatter: float
     n_rounds: int
     largest_share: float
+    members: TrafficRange | None = None
 
 
 def combine(rounds: Sequence[Round], confidence: float) -> Combined:
@@ -146,7 +180,8 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     freedom = PRIOR_ROUNDS + len(rounds) - 1
     birge = (PRIOR_ROUNDS + float(squares.sum())) / freedom
     predicted = float(share**2 @ variance)
-    error = math.sqrt(max(1.0, birge, _surprise(rounds, share, predicted)) * predicted)
+    inflation = max(1.0, birge, _surprise(rounds, share, predicted))
+    error = math.sqrt(inflation * predicted)
     half_width = float(stdtrit(freedom, 0.5 + confidence / 2)) * error
     lowest = float(share @ np.array([r.lowest for r in rounds]))
     highest = float(share @ np.array([r.highest for r in rounds]))
@@ -161,7 +196,16 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         n_rounds=len(rounds),
         scatter=float(squares.mean()),
         largest_share=largest / center if center > 0 else 1.0,
+        members=_members(rounds, share, inflation),
     )
+
+
+def _members(rounds: Sequence[Round], share: FloatArray, inflation: float) -> TrafficRange | None:
+    if not len(rounds[0].members):
+        return None
+    estimates = share @ np.array([r.members for r in rounds])
+    variances = inflation * (share**2 @ np.array([r.member_variances for r in rounds]))
+    return TrafficRange(tuple(estimates.tolist()), tuple(np.sqrt(variances).tolist()))
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:

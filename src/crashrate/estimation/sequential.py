@@ -242,7 +242,8 @@ def _estimate(
     snapshot = replace(snapshot, phase="estimate")
     labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
     outcomes = labels.y[-len(rows) :][np.searchsorted(rows, drawn.rows)]
-    return labels, (*state.rounds, measure(view, drawn, outcomes))
+    ratios = problem.traffic.member_ratios(view.pool.x) if problem.traffic.members else None
+    return labels, (*state.rounds, measure(view, drawn, outcomes, ratios))
 
 
 def _simulate(
@@ -327,6 +328,7 @@ def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
         n_eff=(c.estimate / c.standard_error) ** 2,
         largest_weight_share=c.largest_share,
         log_efficiency=log_efficiency(c, n_runs),
+        traffic_range=c.members,
         alarms=_alarms(problem, state, c, bounds),
         phase="estimate",
         stop_reason=_stop(problem, state, c),
@@ -362,6 +364,12 @@ def _alarms(
         ),
         Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
         Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
+        Alarm.TRAFFIC_UNDETERMINED: (
+            c is not None and c.members is not None and c.members.undetermined
+        ),
+        Alarm.MEMBERS_UNDETERMINED: (
+            c is not None and c.members is not None and c.members.n_undetermined > 0
+        ),
         Alarm.UNDECIDED_MASS_LARGE: (
             c is not None and state.ordered and bounds[1] > UNDECIDED_LIMIT * c.estimate
         ),

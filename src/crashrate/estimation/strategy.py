@@ -15,6 +15,7 @@ from crashrate.crash_set.monotone_set import MonotoneSet
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
@@ -98,6 +99,8 @@ class Snapshot:
     log_efficiency : float
         log E[Z²] / log E[Z] of one run's contribution Z: 2 at best, 1 for crude Monte Carlo.
     alarms : tuple of Alarm
+    traffic_range : TrafficRange or None
+        The probability under each member of the traffic model.
     learned : MonotoneSet or None
         What the outcomes imply through the risk order.
     phase : str
@@ -113,6 +116,7 @@ class Snapshot:
     largest_weight_share: float = 1.0
     log_efficiency: float = float("nan")
     alarms: tuple[Alarm, ...] = ()
+    traffic_range: TrafficRange | None = None
     learned: MonotoneSet | None = field(default=None, repr=False)
     phase: str = "explore"
     stop_reason: StopReason = StopReason.RUNNING

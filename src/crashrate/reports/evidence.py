@@ -52,10 +52,28 @@ def _answer(e: Estimate) -> tuple[Fact, ...]:
             "Holds the true probability in that share of campaigns, for this traffic model and "
             "this simulator.",
         ),
+        *_traffic_range(e),
         Fact(
             "Bounds",
             f"{low} ≤ p ≤ {high}" if has_bounds else "none",
             _bounds_meaning(e) if has_bounds else "Nothing is implied about other situations.",
+        ),
+    )
+
+
+def _traffic_range(e: Estimate) -> tuple[Fact, ...]:
+    found = e.traffic_range
+    if found is None:
+        return ()
+    low, middle, high = found.quantiles
+    return (
+        Fact(
+            "Traffic models",
+            f"{power_of_ten(low)} … {power_of_ten(middle)} … {power_of_ten(high)}"
+            if is_number(middle)
+            else "not determined",
+            f"5, 50 and 95 % of the probability under {len(found.probabilities)} fits that the "
+            "recorded events allow; the probability above is their mean.",
         ),
     )
 

@@ -7,6 +7,7 @@ from typing import Any
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, HistoryPoint
+from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.reports.numbers import is_number, number
 
 
@@ -50,7 +51,14 @@ def _estimate(result: Mapping[str, Any]) -> Estimate:
         stop_reason=StopReason(result["stop_reason"]),
         method=str(result["method"]),
         history=tuple(_point(p) for p in result.get("history", ())),
+        traffic_range=_range(result.get("traffic_range")),
     )
+
+
+def _range(found: Mapping[str, Any] | None) -> TrafficRange | None:
+    if found is None:
+        return None
+    return TrafficRange(tuple(found["probabilities"]), tuple(found["standard_errors"]))
 
 
 def _count(result: Mapping[str, Any], key: str) -> int:

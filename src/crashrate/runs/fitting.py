@@ -90,6 +90,9 @@ def fit_traffic(
     *,
     seed: int = 0,
     synthetic: bool = False,
+    n_restarts: int = 1,
+    n_members: int = 0,
+    workers: int = 1,
     on_step: Callable[[int, int, str], None] | None = None,
 ) -> TrafficModel:
     """Fit a truncated mixture to events: the number of components with the lowest BIC.
@@ -106,6 +109,12 @@ def fit_traffic(
         Of the fits' starts.
     synthetic : bool
         Whether the events were drawn, not recorded: the model says so.
+    n_restarts : int
+        Fits of each number of components, from different starts.
+    n_members : int
+        Fits of re-weighted events that the model carries as its members, beside itself.
+    workers : int
+        Processes; the result is the same whatever their number.
     on_step : callable, optional
         As of `select_components`.
 
@@ -125,21 +134,30 @@ def fit_traffic(
     from threadpoolctl import threadpool_limits
 
     from crashrate.traffic.components import select_components
+    from crashrate.traffic.ensemble import fit_tasks, member_tasks, with_members
 
+    parameters = {
+        "lower": scenario.lower,
+        "upper": scenario.upper,
+        "scales": [v.scale.value for v in scenario.variables],
+    }
     # one thread: the same bits on every machine's number of cores, so that a run can be resumed
     with threadpool_limits(limits=1):
         selection = select_components(
             events.values,
             components,
             on_step=on_step,
-            lower=scenario.lower,
-            upper=scenario.upper,
-            scales=[v.scale for v in scenario.variables],
+            n_restarts=n_restarts,
+            workers=workers,
             random_state=seed,
+            **parameters,
         )
+        tasks = member_tasks(n_members, selection.admissible, seed)
+        fits = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=on_step)
     model = selection.traffic_model(scenario.names)
     provenance = {**model.provenance, "events": _origin(events, synthetic, seed)}
-    return replace(model, provenance=provenance)
+    model = replace(model, provenance=provenance)
+    return with_members(model, fits) if fits else model
 
 
 def _origin(events: EventTable, synthetic: bool, seed: int) -> dict[str, Any]:

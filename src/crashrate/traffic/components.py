@@ -1,18 +1,20 @@
 """How many components: the Bayesian information criterion over a range of numbers."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from sklearn.exceptions import ConvergenceWarning
 
 from crashrate.errors import InvalidInputError
-from crashrate.traffic.mixture import TruncatedGaussianMixture
-from crashrate.traffic.model import TrafficModel
+from crashrate.traffic.ensemble import Fitted, OnStep, Task, fit_tasks
+from crashrate.traffic.model import TrafficModel, default_names
 from crashrate.variables import FloatArray, frozen
 
-OnStep = Callable[[int, int, str], None]
+MIN_SPREAD = 10.0  # of the criterion: what no one takes for a difference (Kass & Raftery 1995)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,44 +26,56 @@ class ComponentSelection:
     candidates : tuple of int
         Numbers of components tried.
     bic : ndarray (n_candidates,)
-        Bayesian information criterion of each, the lower the better.
+        Bayesian information criterion of each one's best start, the lower the better.
+    bic_restarts : ndarray (n_candidates, n_restarts)
+        Of every start.
     log_likelihood : ndarray (n_candidates,)
         Log likelihood of the events under each.
     converged : tuple of bool
         Whether each fit converged.
-    best : TruncatedGaussianMixture
-        The fitted estimator with the lowest criterion.
+    best : Fitted
+        The fit with the lowest criterion.
     """
 
     candidates: tuple[int, ...]
     bic: FloatArray
+    bic_restarts: FloatArray
     log_likelihood: FloatArray
     converged: tuple[bool, ...]
-    best: TruncatedGaussianMixture
+    best: Fitted
 
     @property
     def n_components(self) -> int:
         """The number of components with the lowest criterion."""
         return self.candidates[int(np.argmin(self.bic))]
 
+    @property
+    def spread(self) -> float:
+        """What the criterion owes to the start: median over the candidates of its range."""
+        ranges = self.bic_restarts.max(axis=1) - self.bic_restarts.min(axis=1)
+        return max(float(np.median(ranges)), MIN_SPREAD)
+
+    @property
+    def admissible(self) -> tuple[int, ...]:
+        """Numbers that the criterion does not tell from the best by more than the spread."""
+        near = self.bic <= self.bic.min() + self.spread
+        return tuple(k for k, is_near in zip(self.candidates, near, strict=True) if is_near)
+
     def traffic_model(self, names: Sequence[str] | None = None) -> TrafficModel:
         """The best fit's law, the whole curve in its provenance."""
-        model = self.best.traffic_model(names)
+        model = self.best.model
         curve = {
             "n_components": list(self.candidates),
             "bic": self.bic.tolist(),
+            "bic_restarts": self.bic_restarts.tolist(),
             "log_likelihood": self.log_likelihood.tolist(),
             "converged": list(self.converged),
+            "admissible": list(self.admissible),
         }
-        return TrafficModel(
-            model.weights,
-            model.means,
-            model.covariances,
-            model.lower,
-            model.upper,
-            model.names,
-            {**model.provenance, "selection": curve},
-            model.scales,
+        return replace(
+            model,
+            names=tuple(names or default_names(model.n_variables)),
+            provenance={**model.provenance, "selection": curve},
         )
 
 
@@ -69,6 +83,9 @@ def select_components(
     X: npt.ArrayLike,
     candidates: Sequence[int],
     *,
+    n_restarts: int = 1,
+    workers: int = 1,
+    random_state: int = 0,
     on_step: OnStep | None = None,
     **parameters: Any,
 ) -> ComponentSelection:
@@ -80,36 +97,61 @@ def select_components(
         Events.
     candidates : sequence of int
         Numbers of components to try.
+    n_restarts : int
+        Fits of each, from different starts.
+    workers : int
+        Processes; the result is the same whatever their number.
+    random_state : int
+        Seed of the starts.
     on_step : callable, optional
         Called as ``on_step(done, total, message)`` before the first fit and after each.
     **parameters
-        Of :class:`TruncatedGaussianMixture`, such as `lower`, `upper` and `random_state`.
+        Of :class:`TruncatedGaussianMixture`, such as `lower` and `upper`.
 
     Raises
     ------
     InvalidInputError
-        If there are no candidates, or one comes twice.
+        If there are no candidates, or one comes twice, or n_restarts or workers is below 1.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the fit that is kept did not converge.
     """
     numbers = tuple(int(k) for k in candidates)
     if not numbers or len(set(numbers)) < len(numbers):
         raise InvalidInputError(
             f"candidates: expected different numbers of components, got {list(candidates)}."
         )
-    report: OnStep = on_step or _silent
-    report(0, len(numbers), "fitting")
-    fits: list[TruncatedGaussianMixture] = []
-    for done, k in enumerate(numbers, start=1):
-        fits.append(TruncatedGaussianMixture(k, **parameters).fit(X))
-        report(done, len(numbers), f"{k} components: BIC {fits[-1].bic_:.1f}")
-    bic = np.array([fit.bic_ for fit in fits])
+    if n_restarts < 1:
+        raise InvalidInputError(f"n_restarts: expected an integer >= 1, got {n_restarts}.")
+    tasks = [Task(k, _start_seed(random_state, k, r)) for k in numbers for r in range(n_restarts)]
+    rows = np.asarray(X, dtype=np.float64)
+    fits = fit_tasks(tasks, rows, parameters, workers=workers, on_step=on_step)
+    groups = [fits[i : i + n_restarts] for i in range(0, len(fits), n_restarts)]
+    best = [min(group, key=lambda fit: fit.bic) for group in groups]
+    bic = np.array([fit.bic for fit in best])
+    kept = best[int(np.argmin(bic))]
+    if not kept.converged:
+        warnings.warn(
+            f"the fit of {kept.task.n_components} components did not converge; lower the number "
+            "of components, or give more events.",
+            ConvergenceWarning,
+            stacklevel=2,
+        )
     return ComponentSelection(
         numbers,
         frozen(bic),
-        frozen([fit.log_likelihood_ for fit in fits]),
-        tuple(fit.converged_ for fit in fits),
-        fits[int(np.argmin(bic))],
+        frozen([[fit.bic for fit in group] for group in groups]),
+        frozen([fit.log_likelihood for fit in best]),
+        tuple(fit.converged for fit in best),
+        kept,
     )
 
 
-def _silent(done: int, total: int, message: str) -> None:
-    """No progress wanted."""
+def _start_seed(seed: int, n_components: int, restart: int) -> int:
+    """Seed of one start: the first is `seed` itself, as of a single fit."""
+    if restart == 0:
+        return seed
+    key = (2, n_components, restart)
+    return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0] >> 1)

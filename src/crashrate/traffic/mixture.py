@@ -142,6 +142,21 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
             If `max_iter` steps were not enough.
         """
         del y
+        return self.fit_weighted(X, None)
+
+    def fit_weighted(self, X: npt.ArrayLike, weights: npt.ArrayLike | None) -> Self:
+        """Fit the mixture to events X (n, d) that count `weights` (n,) times each.
+
+        Everything as of :meth:`fit`, with sums over events weighted; starts and normalisation
+        take every event once. None counts every event once.
+
+        Raises
+        ------
+        InvalidInputError
+            As of :meth:`fit`, or if the weights are not n numbers >= 0 with a positive sum.
+        NumericalError
+            As of :meth:`fit`.
+        """
         schedule = self._schedule()
         rows = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         self._check_number_of(rows)
@@ -151,12 +166,15 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         lower = np.where(scales.log, np.maximum(lower, 0.0), lower)
         z = scales.forward(rows)
         standard = Standard.of(z, scales.forward(lower), scales.forward(upper))
-        events = Events(standard.forward(z), standard.box)
+        counts = None if weights is None else _checked_weights(weights, len(rows))
+        events = Events(standard.forward(z), standard.box, counts)
         # The products are small and many: threads would only wait for each other.
         with threadpool_limits(limits=1, user_api="blas"):
             best, strength = self._best_fit(events, schedule, standard)
-        self._n_events, self._sides, self._scales = len(rows), (lower, upper), scales
-        self._keep(best, strength, standard, float(scales.log_jacobian(rows).sum()))
+        self._n_events, self._sides, self._scales = events.n, (lower, upper), scales
+        jacobian = scales.log_jacobian(rows)
+        total = jacobian.sum() if counts is None else counts @ jacobian
+        self._keep(best, strength, standard, float(total))
         if not best.converged:
             warnings.warn(
                 f"not converged in {self.n_iter_} steps: the next still promises a gain of "
@@ -349,3 +367,12 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
             raise InvalidInputError(f"n_samples: expected an integer >= 1, got {n_samples}.")
         rng = np.random.default_rng(check_random_state(self.random_state).randint(2**31))
         return self.model_.sample_components(int(n_samples), rng)
+
+
+def _checked_weights(weights: npt.ArrayLike, n: int) -> FloatArray:
+    array = np.asarray(weights, dtype=np.float64)
+    if array.shape != (n,) or not (np.isfinite(array).all() and (array >= 0).all() and array.any()):
+        raise InvalidInputError(
+            f"weights: expected {n} finite numbers >= 0, not all 0, got shape {array.shape}."
+        )
+    return array

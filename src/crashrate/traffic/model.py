@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,12 @@ import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError
 from crashrate.traffic import quadratic
-from crashrate.traffic.model_checks import checked_shapes, checked_weights, json_provenance
+from crashrate.traffic.model_checks import (
+    checked_members,
+    checked_shapes,
+    checked_weights,
+    json_provenance,
+)
 from crashrate.traffic.model_json import from_document, to_document
 from crashrate.traffic.scales import Scales
 from crashrate.traffic.truncated_normal import (
@@ -50,6 +56,9 @@ class TrafficModel:
         Where the numbers come from: anything that JSON can hold.
     scales : sequence of {"linear", "log"}, optional
         Of each variable; linear by default.
+    members : sequence of TrafficModel, optional
+        Other laws that the events allow, of the same variables, box and scales: their spread says
+        what the events do not decide.
 
     Attributes
     ----------
@@ -78,6 +87,7 @@ class TrafficModel:
     names: tuple[str, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     scales: Scales = None  # type: ignore[assignment] # names become Scales
+    members: Sequence["TrafficModel"] = ()
     log_masses: FloatArray = field(init=False, repr=False)
     component_means: FloatArray = field(init=False, repr=False)
     mean: FloatArray = field(init=False, repr=False)
@@ -93,6 +103,8 @@ class TrafficModel:
         if not isinstance(self.scales, Scales):
             self._set(scales=Scales.parse(self.scales, len(self.names)))
         checked_shapes(self)
+        self._set(members=tuple(self.members))
+        checked_members(self)
         self._set(
             weights=frozen(checked_weights(self.weights)),
             _low=frozen(self.scales.forward(self.lower)),
@@ -195,7 +207,36 @@ class TrafficModel:
         """The law of z, in which every component is a normal; see :meth:`from_modelled`."""
         if self.scales.linear:
             return self
-        return replace(self, lower=self._low, upper=self._high, scales=None)  # type: ignore[arg-type]
+        return replace(
+            self,
+            lower=self._low,
+            upper=self._high,
+            scales=Scales.parse(None, self.n_variables),
+            members=tuple(member.modelled for member in self.members),
+        )
+
+    @cached_property
+    def average(self) -> "TrafficModel":
+        """The mixture of the members in equal shares: itself where it has none."""
+        if not self.members:
+            return self
+        shares = [member.weights / len(self.members) for member in self.members]
+        return replace(
+            self,
+            weights=np.concatenate(shares),
+            means=np.concatenate([member.means for member in self.members]),
+            covariances=np.concatenate([member.covariances for member in self.members]),
+        )
+
+    def member_ratios(self, x: npt.ArrayLike) -> FloatArray:
+        """Density of each of the M members over that of the average, at rows x: (n, M)."""
+        rows = as_rows(x, self.n_variables)
+        starts = np.cumsum([0, *(member.n_components for member in self.members[:-1])])
+        average, out = self.average, np.empty((len(rows), len(self.members)))
+        for block in quadratic.blocks(len(rows)):
+            shares = average.component_probabilities(rows[block])
+            out[block] = np.add.reduceat(shares, starts, axis=1) * len(self.members)
+        return out
 
     def from_modelled(self, z: FloatArray) -> FloatArray:
         """Situations x (n, d) of rows z (n, d): in the box where z is, rounding or not."""
@@ -336,12 +377,18 @@ class TrafficModel:
         InvalidInputError
             If there is no such file, or it is not the JSON of a traffic model.
         """
-        return cls(**from_document(text_or_path))
+        arguments = from_document(text_or_path)
+        members = [cls(**member) for member in arguments.pop("members")]
+        return cls(**arguments, members=members)
 
     def __reduce__(self) -> tuple[type["TrafficModel"], tuple[Any, ...]]:
         # Through the constructor, so that a copy's arrays are read-only too.
         names = ("weights", "means", "covariances", "lower", "upper", "names", "provenance")
-        return TrafficModel, (*(getattr(self, name) for name in names), self.scales)
+        return TrafficModel, (
+            *(getattr(self, name) for name in names),
+            self.scales,
+            self.members,
+        )
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TrafficModel):

@@ -37,6 +37,17 @@ def checked_shapes(model: "TrafficModel") -> None:
     _check_covariances(model.covariances)
 
 
+def checked_members(model: "TrafficModel") -> None:
+    """Refuse members of other variables, another box or other scales."""
+    for i, member in enumerate(model.members):
+        for name in ("names", "scales", "lower", "upper"):
+            expected, got = getattr(model, name), getattr(member, name)
+            if not np.array_equal(expected, got):
+                raise InvalidInputError(
+                    f"members[{i}]: expected the {name} {expected} of the model, got {got}."
+                )
+
+
 def _check_names(names: tuple[str, ...]) -> None:
     if not names:
         raise InvalidInputError("names: expected at least one variable, got none.")

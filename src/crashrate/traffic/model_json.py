@@ -14,12 +14,14 @@ if TYPE_CHECKING:
 SCHEMA = "crashrate.traffic-model"
 VERSION = 1
 _REQUIRED = ("schema", "version", "names", "lower", "upper", "weights", "means", "covariances")
-_KNOWN = (*_REQUIRED, "provenance", "scales")
+_KNOWN = (*_REQUIRED, "provenance", "scales", "members")
+_OWN = ("weights", "means", "covariances", "provenance")  # of a member; it shares the rest
 
 
 def to_document(model: "TrafficModel") -> dict[str, Any]:
     """The numbers of a model; JSON has no infinity, so an open side is null."""
     # absent where all are linear: what an earlier crashrate wrote stays equal to itself
+    members = [{key: to_document(member)[key] for key in _OWN} for member in model.members]
     scales = {} if model.scales.linear else {"scales": [str(s) for s in model.scales.each]}
     return {
         "schema": SCHEMA,
@@ -32,6 +34,7 @@ def to_document(model: "TrafficModel") -> dict[str, Any]:
         "covariances": model.covariances.tolist(),
         **scales,
         "provenance": dict(model.provenance),
+        **({"members": members} if members else {}),
     }
 
 
@@ -104,6 +107,8 @@ def _arguments(document: dict[str, Any]) -> dict[str, Any]:
     arguments["names"] = tuple(document["names"])
     arguments["scales"] = document.get("scales")
     arguments["provenance"] = dict(document.get("provenance", {}))
+    shared = {key: v for key, v in document.items() if key not in (*_OWN, "members")}
+    arguments["members"] = [_arguments(shared | m) for m in document.get("members", [])]
     return arguments
 
 

@@ -33,17 +33,27 @@ class Expectation:
 
 
 class Events:
-    """Standardised events, as features in blocks; made once, read in every pass."""
+    """Standardised events, as features in blocks; made once, read in every pass.
 
-    def __init__(self, y: FloatArray, box: Box) -> None:
-        self.n, self.d = y.shape
+    Parameters
+    ----------
+    y : ndarray (n, d)
+    box : Box
+    weights : ndarray (n,), optional
+        How often each event counts; once by default. `n` is their sum.
+    """
+
+    def __init__(self, y: FloatArray, box: Box, weights: FloatArray | None = None) -> None:
+        self.d = y.shape[1]
+        self.n = len(y) if weights is None else float(weights.sum())
         self.box = box
         self.rows = y
-        n_numbers = self.n * quadratic.n_features(self.d)
+        self._weights = weights
+        n_numbers = len(y) * quadratic.n_features(self.d)
         self._blocks = list(self._made_blocks()) if n_numbers <= _MAX_KEPT else None
 
     def _made_blocks(self) -> Iterator[FloatArray]:
-        for block in quadratic.blocks(self.n):
+        for block in quadratic.blocks(len(self.rows)):
             yield quadratic.features(self.rows[block])
 
     def expectation(self, log_weights: FloatArray, components: Components) -> Expectation:
@@ -51,9 +61,14 @@ class Events:
         table = self._table(log_weights, components)
         sums = np.zeros_like(table)
         log_likelihood = 0.0
-        for features in self._blocks if self._blocks is not None else self._made_blocks():
+        features_of = self._blocks if self._blocks is not None else self._made_blocks()
+        for block, features in zip(quadratic.blocks(len(self.rows)), features_of, strict=True):
             terms = table @ features
-            log_likelihood += float(quadratic.log_sum(terms).sum())
+            log_density = quadratic.log_sum(terms)
+            if self._weights is not None:
+                log_density *= self._weights[block]
+                terms *= self._weights[block]
+            log_likelihood += float(log_density.sum())
             sums += terms @ features.T
         sums[:, 1 + self.d :] *= quadratic.pair_factors(self.d)
         return Expectation(sums[:, 0], sums[:, 1:], log_likelihood)

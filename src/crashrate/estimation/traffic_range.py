@@ -1,0 +1,99 @@
+"""What other traffic models that the events allow make of the same simulator runs."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from crashrate.variables import FloatArray
+
+QUANTILES = (0.05, 0.5, 0.95)
+UNDETERMINED = 0.7  # standard deviation of log P beyond which the events do not determine it
+MIN_N_EFF = 5.0  # of a member whose own estimate counts as one
+
+
+@dataclass(frozen=True, eq=False)
+class TrafficRange:
+    """The crash probability under each of M traffic models, from one set of runs.
+
+    Parameters
+    ----------
+    probabilities : tuple of float, length M
+        Of the members; unbiased each, so that one may come out below 0.
+    standard_errors : tuple of float, length M
+        Monte Carlo errors.
+    """
+
+    probabilities: tuple[float, ...]
+    standard_errors: tuple[float, ...]
+
+    @cached_property
+    def n_eff(self) -> FloatArray:
+        """Effective sample sizes (M,): (probability / standard error)²."""
+        p, error = np.array(self.probabilities), np.array(self.standard_errors)
+        return np.asarray((np.maximum(p, 0.0) / error) ** 2)
+
+    @property
+    def determined(self) -> FloatArray:
+        """Probabilities of the members that the runs determine."""
+        return np.array(self.probabilities)[self.n_eff >= MIN_N_EFF]
+
+    @property
+    def n_undetermined(self) -> int:
+        """Members whose crashes lie where the runs have seen too little."""
+        return len(self.probabilities) - len(self.determined)
+
+    @property
+    def quantiles(self) -> tuple[float, float, float]:
+        """5, 50 and 95 % of the members' probabilities; NaN where two are not determined.
+
+        A member that the runs do not determine enters as it is, at least 0.
+        """
+        if len(self.determined) < 2:
+            return math.nan, math.nan, math.nan
+        low, middle, high = np.quantile(np.maximum(self.probabilities, 0.0), QUANTILES)
+        return float(low), float(middle), float(high)
+
+    @property
+    def log_deviation(self) -> float:
+        """Standard deviation of log P over the members that the runs determine."""
+        found = self.determined
+        return float(np.log(found).std(ddof=1)) if len(found) > 1 else math.nan
+
+    @property
+    def undetermined(self) -> bool:
+        """Whether the recordings leave the probability open by more than a factor of two."""
+        return self.log_deviation > UNDETERMINED
+
+    def sentence(self) -> str:
+        """The range in one sentence."""
+        m = len(self.probabilities)
+        low, middle, high = self.quantiles
+        if math.isnan(middle):
+            return f"traffic models: {m} fits to the events, too few of them determined by the runs"
+        text = (
+            f"traffic models: {m} fits to the events give {low:.1e} … {middle:.1e} … {high:.1e} "
+            "(5, 50, 95 %)"
+        )
+        if self.n_undetermined:
+            text += f"; {self.n_undetermined} of them are not determined by the runs"
+        if self.undetermined:
+            factor = math.exp(1.645 * self.log_deviation)
+            text += (
+                f"; the recordings do not determine this number better than a factor {factor:.0f} "
+                "either way"
+            )
+        return text
+
+    def to_dict(self) -> dict[str, object]:
+        """As JSON-ready values."""
+        return {
+            "probabilities": list(self.probabilities),
+            "standard_errors": list(self.standard_errors),
+            "n_eff": self.n_eff.tolist(),
+            "quantiles": list(self.quantiles),
+            "log_deviation": self.log_deviation,
+            "n_undetermined": self.n_undetermined,
+            "sentence": self.sentence(),
+        }

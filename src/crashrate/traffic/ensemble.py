@@ -1,0 +1,181 @@
+"""An ensemble of fits: the traffic models that the events allow, not only the likeliest.
+
+The likelihood does not decide the tail: fits that it cannot tell apart differ by an order of
+magnitude in the probability of a crash. Members differ in all that was chosen: in the events (the
+Bayesian bootstrap, Rubin 1981), in the number of components among those admissible, and in the
+start.
+"""
+
+import multiprocessing
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from sklearn.exceptions import ConvergenceWarning
+
+from crashrate.errors import InvalidInputError
+from crashrate.traffic.mixture import TruncatedGaussianMixture
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray
+
+OnStep = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One fit.
+
+    Parameters
+    ----------
+    n_components : int
+    seed : int
+        Of the start.
+    bootstrap : int or None
+        Seed of the events' weights; None counts every event once.
+    """
+
+    n_components: int
+    seed: int
+    bootstrap: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """What one fit found: its law, and how well it fits."""
+
+    task: Task
+    model: TrafficModel
+    bic: float
+    log_likelihood: float
+    converged: bool
+
+
+def event_weights(n: int, seed: int) -> FloatArray:
+    """Weights (n,) of the Bayesian bootstrap: exponential, their sum n."""
+    weights = np.random.default_rng(seed).exponential(size=n)
+    return np.asarray(weights * (n / weights.sum()))
+
+
+def fit_task(task: Task, rows: FloatArray, parameters: dict[str, Any]) -> Fitted:
+    """Fit one task's mixture to events (n, d)."""
+    weights = None if task.bootstrap is None else event_weights(len(rows), task.bootstrap)
+    mixture = TruncatedGaussianMixture(task.n_components, random_state=task.seed, **parameters)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # `converged` says it
+        mixture.fit_weighted(rows, weights)
+    return Fitted(task, mixture.model_, mixture.bic_, mixture.log_likelihood_, mixture.converged_)
+
+
+def fit_tasks(
+    tasks: Sequence[Task],
+    rows: FloatArray,
+    parameters: dict[str, Any],
+    *,
+    workers: int = 1,
+    on_step: OnStep | None = None,
+) -> list[Fitted]:
+    """Fit every task, in `workers` processes; the results are the same whatever their number.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    rows : ndarray (n, d)
+        Events.
+    parameters : dict
+        Of :class:`TruncatedGaussianMixture`.
+    workers : int
+    on_step : callable, optional
+        Called as ``on_step(done, total, message)`` before the first fit and after each.
+
+    Raises
+    ------
+    InvalidInputError
+        If `workers` is below 1, or as of :class:`TruncatedGaussianMixture`.
+    """
+    if workers < 1:
+        raise InvalidInputError(f"workers: expected an integer >= 1, got {workers}.")
+    fits: list[Fitted] = []
+    report = on_step or _silent
+    report(0, len(tasks), "fitting")
+    with _mapped(workers, rows, parameters) as run:
+        for fit in run(tasks):
+            fits.append(fit)
+            report(len(fits), len(tasks), f"{fit.task.n_components} components: BIC {fit.bic:.1f}")
+    return fits
+
+
+def _silent(done: int, total: int, message: str) -> None:
+    """No progress wanted."""
+
+
+Run = Callable[[Sequence[Task]], Iterator[Fitted]]
+
+
+@contextmanager
+def _mapped(workers: int, rows: FloatArray, parameters: dict[str, Any]) -> Iterator[Run]:
+    if workers == 1:
+        yield lambda tasks: (fit_task(task, rows, parameters) for task in tasks)
+        return
+    context = multiprocessing.get_context("spawn")  # a fork may copy a lock that a thread holds
+    with ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_remember, initargs=(rows, parameters)
+    ) as pool:
+        yield lambda tasks: pool.map(_fit_remembered, tasks)
+
+
+# what a worker process was started with: sent once, not with every task
+_REMEMBERED: list[tuple[FloatArray, dict[str, Any]]] = []
+
+
+def _remember(rows: FloatArray, parameters: dict[str, Any]) -> None:
+    _REMEMBERED[:] = [(rows, parameters)]
+
+
+def _fit_remembered(task: Task) -> Fitted:
+    return fit_task(task, *_REMEMBERED[0])
+
+
+def member_tasks(n_members: int, admissible: Sequence[int], seed: int) -> list[Task]:
+    """Bootstrap fits: the admissible numbers of components in turn, each from a start of its own.
+
+    Parameters
+    ----------
+    n_members : int
+    admissible : sequence of int
+        Numbers of components.
+    seed : int
+    """
+    if n_members < 0 or not admissible:
+        raise InvalidInputError(
+            "members: expected a number >= 0 and at least one number of components, got "
+            f"{n_members} and {list(admissible)}."
+        )
+    words = np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(2 * n_members)
+    return [
+        Task(admissible[i % len(admissible)], int(words[2 * i] >> 1), int(words[2 * i + 1]))
+        for i in range(n_members)
+    ]
+
+
+def with_members(model: TrafficModel, fits: Sequence[Fitted]) -> TrafficModel:
+    """`model` with itself and the fits as its members."""
+    first = replace(model, members=(), provenance={"n_components": model.n_components})
+    others = [
+        replace(
+            fit.model,
+            names=model.names,
+            provenance={
+                "n_components": fit.task.n_components,
+                "seed": fit.task.seed,
+                "bootstrap": fit.task.bootstrap,
+                "converged": fit.converged,
+                "log_likelihood": fit.log_likelihood,
+            },
+        )
+        for fit in fits
+    ]
+    return replace(model, members=(first, *others))
