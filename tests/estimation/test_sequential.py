@@ -119,3 +119,28 @@ def test_a_rippled_edge_costs_the_order_not_the_truth(cases, check_coverage, amp
     check_coverage([g.interval for g in got], p)
     assert {Alarm.ORDER_DROPPED in g.alarms for g in got} == {dropped}
     assert all((Alarm.ORDER_CONTRADICTED in g.alarms) <= (amplitude > 0) for g in got)
+
+
+def lying(k):
+    """Half-plane whose k-th crash deep inside is reported as safe: one wrong outcome."""
+    level, seen = norm.isf(1e-5), []
+
+    def crash(x):
+        across = x.sum(axis=1) / np.sqrt(2)
+        y = across > level
+        for i in np.flatnonzero(across > level + 1):
+            seen.append(i)
+            y[i] = len(seen) != k
+        return y
+
+    return crash
+
+
+@pytest.mark.parametrize(("k", "seed"), [(2, 1), (3, 1), (4, 1)])
+def test_one_wrong_outcome_is_no_confident_answer(cases, k, seed):
+    got = estimate(
+        lying(k), cases.standard_normal(2), risk=cases.increasing(2), seed=seed,
+        relative_half_width=0.15, max_calls=200,
+    )  # fmt: skip
+    assert Alarm.ORDER_CONTRADICTED in got.alarms
+    assert got.interval[0] < 1e-5 < got.interval[1]

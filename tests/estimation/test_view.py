@@ -5,7 +5,7 @@ import pytest
 
 from crashrate.crash_set.order import RiskOrder
 from crashrate.crash_set.surrogate import Prior, fit_surrogate
-from crashrate.estimation.labels import Labels
+from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import MIN_SCALE, Standardiser, normalised, see
 from crashrate.sampling.pool import draw_pool
@@ -133,19 +133,34 @@ def test_contradicted_outcomes_are_presumed_where_no_other_says_the_opposite(cas
 def test_contradictions_are_as_deep_as_their_least_coordinate(cases):
     at = [[0.0, 0.0], [0.3, 1.0], [0.2, 0.1], [-3.0, 5.0]]
     labels = labelled(cases.half_plane(0.2), at, [1, 0, 0, 1])
-    depths = labels.contradiction_depths(np.array([1.0, 1.0]))
-    assert sorted(depths) == pytest.approx([0.1, 0.3, 0.3])  # two safe outcomes, one crash
-    assert sorted(labels.contradiction_depths(np.array([0.1, 1.0]))) == pytest.approx([0.1, 1, 1])
-    assert not len(labels.without_order().contradiction_depths(np.ones(2)))
-    assert not len(labelled(cases.half_plane(0.2), at[:2], [0, 1]).contradiction_depths(np.ones(2)))
+    assert labels.contradiction_gaps(np.ones(2)) == pytest.approx(np.array([[0.3, 0.1]]))
+    scaled = labels.contradiction_gaps(np.array([0.1, 1.0]))
+    assert scaled == pytest.approx(np.array([[1.0, 0.1]]))
+    assert not labels.without_order().contradiction_gaps(np.ones(2)).size
+    agreeing = labelled(cases.half_plane(0.2), at[:2], [0, 1])
+    assert not agreeing.contradiction_gaps(np.ones(2)).size
 
 
 def test_margin_asks_for_more_than_an_outcome_beyond_another(cases):
     labels = labelled(cases.half_plane(0.2), [[0.0, 0.0], [-1.0, -1.0]], [1, 0])
     u = np.array([[0.05, 2.0], [0.15, 0.15], [-1.05, -1.05], [-1.2, -1.2]])
-    crash, safe = labels.presumed(u, np.array([0.1, 0.1]))
-    assert crash.tolist() == [False, True, False, False]
-    assert safe.tolist() == [False, False, False, True]
+    deep = labels.implied_deep(u, np.array([0.1, 0.1]))
+    assert deep.tolist() == [False, True, False, True]
+
+
+def test_contradicted_outcomes_vouch_for_nothing_at_depth(cases):
+    labels = labelled(cases.half_plane(0.2), [[0.0, 0.0], [1.0, 1.0]], [1, 0])
+    assert labels.presumed(np.array([[5.0, 5.0]]))[0].all()
+    assert not labels.implied_deep(np.array([[5.0, 5.0], [-5.0, -5.0]]), np.zeros(2)).any()
+
+
+def test_one_wrong_outcome_is_discarded_once():
+    star, pairs = np.zeros((6, 9), bool), np.eye(4, dtype=bool)
+    star[2] = True
+    assert n_to_discard(star) == 1
+    assert n_to_discard(pairs) == 4
+    assert n_to_discard(np.ones((3, 7), bool)) == 3
+    assert n_to_discard(np.zeros((0, 0), bool)) == 0
 
 
 @pytest.mark.parametrize("ripple", [0.2, 0.4])
@@ -161,5 +176,5 @@ def test_doubt_reaches_as_deep_as_the_contradictions_seen(cases, ripple):
     doubted = (view.inner | view.safe) & (view.h > 1e-3) & (view.h < 1 - 1e-3)
     u = view.pool.u[doubted][:, None]
     above, below = (u - x[y == 1]).min(axis=2).max(axis=1), (x[y == 0] - u).min(axis=2).max(axis=1)
-    depth = np.maximum(above, below).max()
+    depth = np.maximum(above, below)[np.abs(u).max(axis=(1, 2)) < 2.0].max()  # away from the pair
     assert 0.8 * ripple < depth <= ripple + 1e-9

@@ -2,7 +2,8 @@
 
 Inference is parallel expectation propagation (Rasmussen & Williams 2006, §3.6), with sites that
 can be taken over from the last fit. The surrogate only steers where to simulate: the estimate
-corrects it with simulated outcomes, so that an error here costs runs, not honesty.
+corrects it with simulated outcomes, so that an error here costs runs, not honesty; but for what it
+and the risk order hold for certain together, which is hardly simulated at all.
 """
 
 import math

@@ -26,16 +26,16 @@ class Alarm(StrEnum):
         "the rounds scatter more than predicted: the interval was widened by the scatter seen"
     )
     ORDER_CONTRADICTED = (
-        "some outcomes contradict the declared risk order, as ripples at the edge of the crash "
-        "set do: the estimate and its interval allow for that, but the bounds P(inner), P(outer) "
-        "hold only where the order does"
+        "some outcomes contradict the declared risk order: the estimate and its interval allow for "
+        "ripples at the edge of the crash set as deep as those seen, and for no deeper ones; the "
+        "bounds P(inner), P(outer) hold only where the order does"
     )
     ORDER_DROPPED = (
         "the declared risk order was dropped: its most dangerous situations were safe, or too many "
         "outcomes contradict it; the estimate trusts no outcome that it implies"
     )
     TRAFFIC_UNDETERMINED = (
-        "the recorded events do not determine the probability: traffic models that fit them about "
+        "the events do not determine the probability: traffic models that fit them about "
         "as well differ by more than the interval says"
     )
     MEMBERS_UNDETERMINED = (

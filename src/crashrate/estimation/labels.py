@@ -5,12 +5,16 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from crashrate.crash_set.fronts import above_any, below_any, maximal, minimal
 from crashrate.crash_set.monotone_set import Label, MonotoneSet
 from crashrate.crash_set.order import RiskOrder
 from crashrate.estimation.strategy import Problem
 from crashrate.variables import BoolArray, FloatArray
+
+MAX_AGAINST = 2  # outcomes that may contradict one which still counts
 
 
 @dataclass(frozen=True)
@@ -83,43 +87,47 @@ class Labels:
         """Outcomes that another outcome contradicts through the order."""
         return 0 if self.learned is None else self.learned.contradictions
 
-    def contradiction_depths(self, scale: FloatArray) -> FloatArray:
-        """How deep each contradicted outcome is contradicted, in units of `scale` (m,): (k,).
+    def contradiction_gaps(self, scale: FloatArray) -> FloatArray:
+        """How deep crash i and safe outcome j contradict each other, in units of `scale` (m,).
 
-        That is the least of the coordinates' distances to the outcome that contradicts it most. A
-        ripple at the edge of the crash set contradicts the order by no more than its own size; an
-        order that is wrong contradicts itself as deep as the runs reach.
+        The least of the coordinates' distances by which the safe one is the more dangerous, shape
+        (crashes, safe outcomes) of those contradicted; not positive where the two do not. A ripple
+        at the edge of the crash set contradicts the order by no more than its own size; an order
+        that is wrong contradicts itself as deep as the runs reach.
         """
         if self.learned is None or not self.contradictions:
-            return np.empty(0)
+            return np.empty((0, 0))
         u = self.learned.u[self.learned.contradicted] / scale
         crash = self.learned.crash[self.learned.contradicted]
-        gap = (u[~crash][None] - u[crash][:, None]).min(axis=2)  # safe minus crash
-        return np.concatenate([gap.max(axis=0), gap.max(axis=1)])
+        return np.asarray((u[~crash][None] - u[crash][:, None]).min(axis=2))
 
-    def presumed(
-        self, u: FloatArray, margin: FloatArray | float = 0.0
-    ) -> tuple[BoolArray, BoolArray]:
-        """The same with contradicted outcomes counted too, where no other says the opposite.
+    def presumed(self, u: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """As `implied`, contradicted outcomes counted too where no other says the opposite.
 
         A set with ripples at its edge contradicts the order there, and nowhere else: giving up all
-        that such an outcome implies would cost many runs far from the edge. Not for bounds.
-
-        With a `margin` (m,), only what is that far beyond an outcome in every coordinate.
+        that such an outcome implies would cost many runs far from the edge. Not for bounds. An
+        outcome that many others contradict is left out: it is the one that is odd.
         """
-        crash, safe = np.zeros(len(u), dtype=bool), np.zeros(len(u), dtype=bool)
-        if self.learned is not None:
-            crash = above_any(u - margin, self._least_crashes)
-            safe = below_any(u + margin, self._most_safe)
+        if self.learned is None:
+            return self.implied(u)
+        least, most = self._fronts
+        crash, safe = above_any(u, least), below_any(u, most)
         return crash & ~safe, safe & ~crash
 
     @cached_property
-    def _least_crashes(self) -> FloatArray:
-        return minimal(self.u[self.y == 1])
-
-    @cached_property
-    def _most_safe(self) -> FloatArray:
-        return maximal(self.u[self.y == 0])
+    def _fronts(self) -> tuple[FloatArray, FloatArray]:
+        """Minimal crashes and maximal safe outcomes among those that few others contradict."""
+        if self.learned is None:
+            return self.u[:0], self.u[:0]
+        u, crash = self.learned.u, self.learned.crash
+        against = np.zeros(len(u), dtype=int)
+        if self.contradictions:
+            where = np.flatnonzero(self.learned.contradicted)
+            pairs = self.contradiction_gaps(np.ones(u.shape[1])) >= 0
+            against[where[crash[where]]] = pairs.sum(axis=1)
+            against[where[~crash[where]]] = pairs.sum(axis=0)
+        trusted = against <= MAX_AGAINST
+        return minimal(u[crash & trusted]), maximal(u[~crash & trusted])
 
     def implied(self, u: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Which of `u` (n, m) are implied to crash, and which to be safe."""
@@ -128,3 +136,23 @@ class Labels:
             return none, none.copy()
         label = self.learned.classify(u)
         return label == Label.CRASH, label == Label.SAFE
+
+    def implied_deep(self, u: FloatArray, margin: FloatArray) -> BoolArray:
+        """Which of `u` (n, m) lie `margin` (m,) and more beyond an outcome that implies theirs.
+
+        Contradicted outcomes vouch for nothing here: what contradicts them is evidence that the
+        next safe outcome above a crash, or crash below a safe one, may be as deep again.
+        """
+        return self.implied(u - margin)[0] | self.implied(u + margin)[1]
+
+
+def n_to_discard(contradict: BoolArray) -> int:
+    """The least number of outcomes without which none of these pairs (crashes, safe) is left.
+
+    By König's theorem the size of a maximum matching: a single wrong outcome counts once, however
+    many it contradicts.
+    """
+    if not contradict.any():
+        return 0
+    matched = maximum_bipartite_matching(csr_matrix(contradict), perm_type="column")
+    return int(np.count_nonzero(matched >= 0))

@@ -170,8 +170,7 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     never below. Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant
     by 1.3 in standard deviation), and the few rounds' own scatter alone under-covers.
     """
-    latest = float(np.median([r.predicted for r in rounds[-LATEST:]]))
-    rounds = [r for r in rounds if r.predicted >= MIN_PREDICTED * latest]
+    rounds = not_refuted(rounds, float(np.median([r.predicted for r in rounds[-LATEST:]])))
     variance = np.array([r.variance for r in rounds])
     share = _shares(np.array([r.predicted for r in rounds]), variance)
     estimates = np.array([r.estimate for r in rounds])
@@ -206,6 +205,11 @@ def _members(rounds: Sequence[Round], share: FloatArray, inflation: float) -> Tr
     estimates = share @ np.array([r.members for r in rounds])
     variances = inflation * (share**2 @ np.array([r.member_variances for r in rounds]))
     return TrafficRange(tuple(estimates.tolist()), tuple(np.sqrt(variances).tolist()))
+
+
+def not_refuted(rounds: Sequence[Round], predicted: float) -> list[Round]:
+    """The rounds that had seen as much of the crash set as is now known, `predicted`, or half."""
+    return [r for r in rounds if r.predicted >= MIN_PREDICTED * predicted]
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:

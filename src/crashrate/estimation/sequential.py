@@ -18,7 +18,7 @@ from crashrate.estimation.crude import crude
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import INFLATION, N_RANKED, Explored, explore, inflated
-from crashrate.estimation.labels import Labels
+from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
     Combined,
@@ -26,6 +26,7 @@ from crashrate.estimation.rounds import (
     combine,
     log_efficiency,
     measure,
+    not_refuted,
 )
 from crashrate.estimation.selection import greedy, to_estimate, to_learn
 from crashrate.estimation.strategy import Problem, Query, Snapshot
@@ -45,13 +46,13 @@ ROUND = 10
 # Beyond so many runs a wide interval is better than none. (Not a share of the budget: a run whose
 # budget grows must go on as it was.)
 LEARNING_RUNS = 300
+RELEARNING_RUNS = 100  # after an order was dropped
 GREEDY_SHARE = 0.4
-# The order is dropped when more outcomes than this contradict it by more than a ripple at the crash
-# set's edge (in the surrogate's standardised coordinates) would: it is false …
-MAX_CONTRADICTIONS, MAX_DEEP_SHARE, DEEP = 6, 0.1, 0.25
-# … or when this share contradicts it at all: danger may grow as declared, but where the runs are
-# outcomes do not imply one another (trusting them there lost a quarter of the probability).
-MAX_RIPPLED_SHARE = 0.25
+# The order is dropped when so many outcomes would have to be discarded for the others to agree with
+# it, at least. It is false where they contradict it by more than a ripple at the crash set's edge
+# (in the surrogate's standardised coordinates). Else danger may grow as declared, but where the
+# runs are outcomes do not imply one another: trusting them there lost a quarter of a probability.
+MAX_DISCARDED, MAX_DISCARDED_SHARE, DEEP = 8, 0.06, 0.25
 SCATTER_LIMIT = 3.0
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
@@ -114,6 +115,8 @@ class State:
         Simulator runs when the order was dropped.
     k : int
         Number of the round.
+    learning : bool
+        Whether the last round was spent on learning.
     """
 
     labels: Labels
@@ -125,6 +128,7 @@ class State:
     directed: bool = True
     dropped_at: int | None = None
     k: int = 1
+    learning: bool = True
 
     @property
     def ordered(self) -> bool:
@@ -134,7 +138,8 @@ class State:
     @property
     def may_learn(self) -> bool:
         """Whether runs may still go into learning alone."""
-        return self.labels.n < LEARNING_RUNS + (self.dropped_at or 0)
+        without_order = 0 if self.dropped_at is None else self.dropped_at + RELEARNING_RUNS
+        return self.labels.n < max(LEARNING_RUNS, without_order)
 
 
 def sequential(problem: Problem) -> Learner:
@@ -197,7 +202,8 @@ def _round(
         proposal = _aim(problem, _see(problem, state, surrogate, proposal, rng), state, rng)
     view = _see(problem, state, surrogate, proposal, rng)
     unsure = view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability
-    if unsure and state.may_learn:
+    learning = bool(unsure) and state.may_learn
+    if learning:
         rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
@@ -212,6 +218,7 @@ def _round(
         model=replace(model, standardise=standardise),
         proposal=_aim(problem, view, state, rng),
         k=state.k + 1,
+        learning=learning,
     )
     return _distrust(state, view), view
 
@@ -295,9 +302,10 @@ def _aim(problem: Problem, view: View, state: State, rng: np.random.Generator) -
 def _distrust(state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
     n = state.labels.n
-    depths = state.labels.contradiction_depths(state.model.standardise.scale)
-    false = (depths > DEEP).sum() > max(MAX_CONTRADICTIONS, MAX_DEEP_SHARE * n)
-    if false or len(depths) > max(MAX_CONTRADICTIONS, MAX_RIPPLED_SHARE * n):
+    gaps = state.labels.contradiction_gaps(state.model.standardise.scale)
+    limit = max(MAX_DISCARDED, MAX_DISCARDED_SHARE * n)
+    false = n_to_discard(gaps > DEEP) > limit
+    if false or n_to_discard(gaps > 0) > limit:
         return replace(
             state,
             labels=state.labels.without_order(),
@@ -314,12 +322,15 @@ def _distrust(state: State, view: View) -> State:
 def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
     bounds = view.bounds() if state.ordered else (0.0, 1.0)
     start = Snapshot(learned=state.labels.learned, bounds=bounds, phase="learn")
-    if not state.rounds:
+    rounds = state.rounds
+    if state.learning:  # what is learned after rounds were estimated may refute them
+        rounds = tuple(not_refuted(rounds, view.probability))
+    if not rounds:
         e = state.encounters or Encounters()
         seen = interval(e.n_crashes, e.n, problem.confidence)
         return replace(start, interval=seen, alarms=_alarms(problem, state, None, bounds))
-    c = combine(state.rounds, problem.confidence)
-    n_runs = sum(r.n_runs for r in state.rounds)
+    c = combine(rounds, problem.confidence)
+    n_runs = sum(r.n_runs for r in rounds)
     return replace(
         start,
         probability=c.estimate,

@@ -81,7 +81,7 @@ class TrafficRange:
         if self.undetermined:
             factor = math.exp(1.645 * self.log_deviation)
             text += (
-                f"; the recordings do not determine this number better than a factor {factor:.0f} "
+                f"; the events do not determine this number better than a factor {factor:.0f} "
                 "either way"
             )
         return text

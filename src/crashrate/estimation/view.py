@@ -143,9 +143,9 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     presumed_crash, presumed_safe = labels.presumed(pool.u)
     inner, outside = presumed_crash & (raw > 1 - OBJECTION), presumed_safe & (raw < OBJECTION)
     h = np.where(inner, 1.0, np.where(outside, 0.0, raw))
-    ripple = labels.contradiction_depths(standardise.scale).max(initial=RIPPLE)
-    deep_crash, deep_safe = labels.presumed(pool.u, ripple * standardise.scale)
-    edge = (inner | outside) & (np.abs(seen.danger) < 2 * ripple) & ~(deep_crash | deep_safe)
+    ripple = labels.contradiction_gaps(standardise.scale).max(initial=RIPPLE)
+    deep = labels.implied_deep(pool.u, ripple * standardise.scale)
+    edge = (inner | outside) & (np.abs(seen.danger) < 2 * ripple) & ~deep
     h = np.where(edge, np.clip(raw, EDGE_DOUBT, 1 - EDGE_DOUBT), h)
     if labels.learned is None:
         h = np.where(h < FAR, FAR_PROBABILITY, h)

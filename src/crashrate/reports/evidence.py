@@ -73,7 +73,7 @@ def _traffic_range(e: Estimate) -> tuple[Fact, ...]:
             if is_number(middle)
             else "not determined",
             f"5, 50 and 95 % of the probability under {len(found.probabilities)} fits that the "
-            "recorded events allow; the probability above is their mean.",
+            "events allow; the probability above is their mean.",
         ),
     )
 
