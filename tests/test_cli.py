@@ -177,6 +177,14 @@ def test_target_met_leaves_with_0_and_the_sentence(small, quick):
     assert "per lane change, 95 % interval" in page
 
 
+def test_what_a_simulator_prints_is_not_the_answer(small, quick):  # noqa: ARG001
+    (module,) = small.glob("vehicle_*.py")
+    module.write_text("def crashes(x):\n    print('hello')\n    return x[:, 0] > 1\n")
+    done = small_run(small, "--format", "json")
+    assert json.loads(done.stdout)["n_calls"] == 12
+    assert "hello" in done.stderr
+
+
 def test_budget_ended_leaves_with_3(small, quick):
     del quick
     done = small_run(small)
@@ -328,6 +336,30 @@ def test_fit_refuses_a_place_before_it_fits_and_makes_a_missing_folder(events, t
     assert refused.exit_code == 1
     assert "expected a file to write, found a folder" in error_line(refused)
     assert crashrate(*command, tmp_path / "new" / "folder" / "t.json").exit_code == 0
+
+
+def test_fit_replaces_traffic_models_only(events, tmp_path):
+    command = ["fit", events, "--scenario", HUANG, "--components", "1", "--out"]
+    before = events.read_text()
+    refused = crashrate(*command, events)
+    assert refused.exit_code == 1
+    assert "a traffic model to replace; this file is something else" in error_line(refused)
+    assert events.read_text() == before
+    assert [crashrate(*command, tmp_path / "t.json").exit_code for _ in "ab"] == [0, 0]
+
+
+def test_fit_with_further_fits_keeps_them_and_tells_of_the_end_of_the_range(events, tmp_path):
+    out = tmp_path / "traffic.json"
+    done = crashrate(
+        "fit", events, "--scenario", HUANG, "--components", "1:2", "--ensemble", "3",
+        "--restarts", "2", "--out", out,
+    )  # fmt: skip
+    assert done.exit_code == 0
+    assert "with 3 further fits" in done.stdout
+    assert "Warning: BIC is lowest at 2, the most components that were tried" in done.stderr
+    model = TrafficModel.from_json(out)
+    assert len(model.members) == 4
+    assert np.shape(model.provenance["selection"]["bic_restarts"]) == (2, 2)
 
 
 def test_fit_tells_of_too_few_events(events, tmp_path):

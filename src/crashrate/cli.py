@@ -5,9 +5,10 @@ What a command needs is imported inside it, so that ``crashrate --help`` answers
 
 import functools
 import json
+import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -197,10 +198,11 @@ def fit(
     """Fit a traffic model to recorded events."""
     del ctx
     from crashrate.runs import fitting
-    from crashrate.runs.places import require_file_place
+    from crashrate.runs.places import require_file_place, require_replaceable
     from crashrate.runs.scenario import Scenario
 
     require_file_place(out)
+    require_replaceable(out)
     for name, given in (("EVENTS", events), ("--scenario", scenario)):
         if out.exists() and given.exists() and out.samefile(given):
             raise InvalidInputError(
@@ -254,6 +256,14 @@ def run(
     max_calls: Annotated[
         int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
     ] = None,
+    same_vehicle: Annotated[
+        bool,
+        typer.Option(
+            "--same-vehicle",
+            help="Keep stored outcomes although the simulator's source was edited: you vouch that "
+            "they are the same.",
+        ),
+    ] = False,
     output: OutputFormat = Format.TEXT,
 ) -> None:
     """Estimate the crash probability of a scenario; resume what was interrupted."""
@@ -264,7 +274,8 @@ def run(
     places.require_folder_place(out)
     what, model = Scenario.from_file(scenario), places.traffic_named(traffic)
     n_stored = runner.n_stored(out)
-    with progress() as say:
+    # what a simulator prints is not the answer
+    with progress() as say, redirect_stdout(sys.stderr):
         estimate = runner.run(
             what,
             model,
@@ -273,6 +284,7 @@ def run(
             method=method.value,
             relative_half_width=relative_half_width,
             max_calls=max_calls,
+            same_vehicle=same_vehicle,
             on_progress=lambda campaign: say(_standing(campaign)),
         )
     _finish(out, estimate, output, n_stored)
@@ -370,6 +382,8 @@ def _print_result(result: dict[str, Any], output: Format) -> None:
         )
     unfinished = result["stop_reason"] == StopReason.RUNNING.value
     typer.echo(UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}.", err=True)
+    if result["stop_reason"] == StopReason.BUDGET_ENDED.value:
+        typer.echo("The same command with a larger --max-calls goes on from here.", err=True)
     for alarm in result["alarms"]:
         typer.echo(f"Alarm: {alarm['message']}.", err=True)
 
@@ -382,6 +396,11 @@ def _print_selection(selection: dict[str, Any]) -> None:
     typer.echo("components           BIC")
     for n, bic in rows:
         typer.echo(f"{n:10d}  {bic:14.1f}{'  lowest' if bic == best else ''}")
+    if rows[-1][1] == best:
+        _show_warning(
+            f"BIC is lowest at {rows[-1][0]}, the most components that were tried: more may fit "
+            "better; raise the end of --components."
+        )
 
 
 def _runs(n: int, word: str) -> str:

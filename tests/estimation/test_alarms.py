@@ -95,6 +95,8 @@ SEEN = Snapshot(probability=0.1)
         (SEEN, 10, 1, (Alarm.SIMULATIONS_FAILED,)),
         (replace(SEEN, stop_reason=StopReason.BUDGET_ENDED), 10, 0, (Alarm.TARGET_NOT_REACHED,)),
         (replace(SEEN, stop_reason=StopReason.TARGET_MET), 10, 0, ()),
+        (Snapshot(probability=0.95), 10, 0, (Alarm.NEARLY_ALL_CRASH,)),
+        (Snapshot(probability=0.6), 10, 0, ()),
     ],
 )
 def test_alarms_of_the_outcomes(snapshot, crashes, failed, expected):

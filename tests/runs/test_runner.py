@@ -164,6 +164,11 @@ def test_edited_simulator_is_refused_and_the_old_one_goes_on(own, traffic, tmp_p
     assert result_text(tmp_path / "run") == before
     module.write_text(text)
     assert again() == first
+    module.write_text(text + "# mended\n")
+    sys.modules.pop("small_vehicle", None)
+    vouched = run(Scenario.from_file(own), traffic, tmp_path / "run", same_vehicle=True, **SETTINGS)
+    assert vouched == first
+    assert again() == first  # what was vouched for once is remembered
 
 
 def test_simulator_mended_before_its_first_outcome_goes_on(own, traffic, tmp_path):

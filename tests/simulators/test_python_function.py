@@ -101,6 +101,24 @@ def test_edited_source_has_another_hash(folder):
     assert PythonFunction("sys:exit").source_hash() == ""
 
 
+def test_edited_helper_beside_the_simulator_changes_the_hash(folder):
+    (folder / "hashed_simulator.py").write_text(
+        "import numpy\n\ndef crashes(x):\n    from hashed_helper import LIMIT\n"
+        "    return x[:, 0] > LIMIT\n"
+    )
+    (folder / "hashed_helper.py").write_text("from hashed_deep import LIMIT\n")
+    (folder / "hashed_deep.py").write_text("LIMIT = 1\n")
+    (folder / "hashed_other.py").write_text("UNUSED = 1\n")
+    simulate = PythonFunction("hashed_simulator:crashes", folder)
+    before = simulate.source_hash()
+    (folder / "hashed_other.py").write_text("UNUSED = 2\n")
+    assert simulate.source_hash() == before
+    assert simulate(np.array([[3.0], [0.0]])).tolist() == [1.0, 0.0]
+    assert simulate.source_hash() == before  # whatever was imported since
+    (folder / "hashed_deep.py").write_text("LIMIT = 2\n")
+    assert simulate.source_hash() != before
+
+
 def test_margin_is_refused_with_the_functions_name(folder):
     with pytest.raises(SimulationError, match=r"'user_simulator:margin'.*got 3.7 at row 0"):
         PythonFunction("user_simulator:margin", folder)([[3.7]])

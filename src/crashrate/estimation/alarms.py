@@ -34,6 +34,10 @@ class Alarm(StrEnum):
         "the declared risk order was dropped: its most dangerous situations were safe, or too many "
         "outcomes contradict it; the estimate trusts no outcome that it implies"
     )
+    NEARLY_ALL_CRASH = (
+        "nearly every ordinary encounter would crash: does the simulator return true for a safe "
+        "outcome, or take its inputs in other units?"
+    )
     TRAFFIC_UNDETERMINED = (
         "the events do not determine the probability: traffic models that fit them about "
         "as well differ by more than the interval says"

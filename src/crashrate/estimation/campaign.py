@@ -16,6 +16,7 @@ from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray, nearest
 
 MIN_CRASHES = 10
+NEARLY_ALL = 0.9  # a probability above it is rather an outcome turned round
 MAX_FAILURES = 20  # a simulator that has failed as often and never run will not run
 
 
@@ -266,6 +267,8 @@ def _alarms(s: Snapshot, y: FloatArray, n_crashes: int) -> tuple[Alarm, ...]:
         found.append(Alarm.SIMULATIONS_FAILED)
     if 0 < n_crashes < MIN_CRASHES and np.isfinite(s.probability):
         found.append(Alarm.TOO_FEW_CRASHES)
+    if s.probability > NEARLY_ALL:
+        found.append(Alarm.NEARLY_ALL_CRASH)
     if s.stop_reason is StopReason.BUDGET_ENDED:
         found.append(Alarm.TARGET_NOT_REACHED)
     return tuple(dict.fromkeys(found))

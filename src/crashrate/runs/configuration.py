@@ -100,8 +100,10 @@ def require_same_source(directory: Path, stored: dict[str, str], asked: dict[str
     if had and has and had != has:
         raise StoreError(
             f"{directory}: its outcomes come from a simulator that was edited since: the file of "
-            f"the [simulator] function had the SHA-256 {had[:12]}…, now {has[:12]}…. Choose "
-            "another --out to simulate the new one, or restore the file to go on with the old."
+            "the [simulator] function, with those beside it that it imports, had the SHA-256 "
+            f"{had[:12]}…, now {has[:12]}…. Choose another --out to simulate the new one, restore "
+            "the files to go on with the old, or give --same-vehicle if the edit changes no "
+            "outcome that is stored."
         )
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from crashrate import datasets
 from crashrate.errors import InvalidInputError, StoreError
 from crashrate.traffic.model import TrafficModel
+from crashrate.traffic.model_json import from_document
 
 PUBLISHED = "published"
 EVENTS_ENDINGS = (".csv", ".parquet", ".mat")
@@ -24,6 +25,25 @@ def require_file_place(path: Path) -> None:
     if path.exists() and not os.access(path, os.W_OK):
         raise StoreError(f"{path}: this file cannot be written (no permission, or read-only).")
     require_folder_place(path.parent)
+
+
+def require_replaceable(path: Path) -> None:
+    """Refuse to write a traffic model over a file that is none.
+
+    Raises
+    ------
+    StoreError
+        Naming the file.
+    """
+    if not path.exists():
+        return
+    try:
+        from_document(path)
+    except InvalidInputError:
+        raise StoreError(
+            f"{path}: expected a new file, or a traffic model to replace; this file is something "
+            "else and is kept as it is. Choose another --out."
+        ) from None
 
 
 def require_folder_place(path: Path) -> None:

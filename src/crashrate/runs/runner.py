@@ -50,6 +50,7 @@ def run(
     relative_half_width: float | None = None,
     max_calls: int | None = None,
     batch_size: int = Problem.batch_size,
+    same_vehicle: bool = False,
     on_progress: Callable[[Campaign], None] | None = None,
 ) -> Estimate:
     """Run a scenario in traffic, in a folder that a later call continues.
@@ -68,6 +69,8 @@ def run(
         As of `Campaign`.
     relative_half_width, max_calls : optional
         Target and budget; the scenario's where not given.
+    same_vehicle : bool
+        Whether the stored outcomes count although the simulator's source was edited since.
     on_progress : callable, optional
         Called with the campaign after every batch.
 
@@ -100,7 +103,7 @@ def run(
     )
     simulate = scenario.simulator()
     config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
-    with _store(directory, config, campaign.problem) as store:
+    with _store(directory, config, campaign.problem, same_vehicle=same_vehicle) as store:
         sitting = _Sitting(directory, scenario, campaign, simulate, store, on_progress or _ignore)
         return _go_on(sitting, _replay(sitting))
 
@@ -131,7 +134,9 @@ def n_stored(directory: str | Path) -> int:
         return store.n_runs()
 
 
-def _store(directory: Path, config: dict[str, str], problem: Problem) -> RunStore:
+def _store(
+    directory: Path, config: dict[str, str], problem: Problem, *, same_vehicle: bool
+) -> RunStore:
     if not RunStore.exists(directory):
         return RunStore.create(directory, config)
     store = RunStore.open(directory)
@@ -139,9 +144,9 @@ def _store(directory: Path, config: dict[str, str], problem: Problem) -> RunStor
         stored = store.config()
         require_same_run(directory, stored, config)
         n_runs = store.n_runs()
-        if n_runs:
+        if n_runs and not same_vehicle:
             require_same_source(directory, stored, config)
-        else:  # it failed on its first situation, say, and was mended
+        else:  # it failed on its first situation, say, and was mended; or the user vouches for it
             store.set_config(SOURCE, config[SOURCE])
         require_budget(directory, n_runs, stored.get("target"), problem)
     except StoreError:
@@ -173,7 +178,7 @@ class _Sitting:
             n = self.campaign.n_calls
             raise SimulationError(
                 f"{error} The {n} simulator runs before are stored in {self.directory}: the same "
-                "command goes on after them, unless the simulator's source is edited."
+                "command goes on after them; with --same-vehicle also once the simulator is mended."
                 if n
                 else str(error)
             ) from error

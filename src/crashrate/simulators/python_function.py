@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from modulefinder import ModuleFinder
 from pathlib import Path
 from types import ModuleType
 
@@ -72,9 +73,10 @@ class PythonFunction:
         return function  # type: ignore[no-any-return]
 
     def source_hash(self) -> str:
-        """SHA-256 of the module's file, empty where it has none: it tells an edited simulator.
+        """SHA-256 of the module's file and of those in the folder that it imports.
 
-        What the module imports is not in it.
+        Empty where it has none. It tells an edited simulator; but installed packages, and files
+        that are read, are not in it.
 
         Raises
         ------
@@ -83,7 +85,10 @@ class PythonFunction:
         """
         module = self._import(self.target.partition(":")[0])
         file = getattr(module, "__file__", None)  # a module built into Python has none
-        return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+        if not file:
+            return ""
+        files = _own_files(Path(file), self.folder)
+        return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 
     def __call__(self, x: npt.ArrayLike) -> FloatArray:
         """The outcomes of the situations `x` (n, d): (n,) of 1.0, 0.0 and NaN.
@@ -139,6 +144,19 @@ class PythonFunction:
                 f"simulator function {self.target!r}: expected the module {own[0]}, but the name "
                 f"{name!r} is taken by {module.__file__ or 'a built-in module'}; rename the file."
             )
+
+
+def _own_files(file: Path, folder: str | None) -> list[Path]:
+    """`file`, and the files in `folder` that it imports wherever in its text: first, and by name.
+
+    Found in the texts, so that it does not matter what was imported already.
+    """
+    if folder is None or file.suffix != ".py":
+        return [file]
+    finder = ModuleFinder(path=[folder])
+    finder.run_script(str(file))
+    named = [getattr(module, "__file__", None) for module in finder.modules.values()]
+    return [file, *sorted({Path(name) for name in named if name} - {file})]
 
 
 def _told(error: BaseException, folder: str | None) -> str:
