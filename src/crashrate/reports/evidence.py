@@ -79,7 +79,7 @@ def _traffic_range(e: Estimate) -> tuple[Fact, ...]:
 
 
 def _bounds_meaning(e: Estimate) -> str:
-    text = "P(inner) ≤ p ≤ P(outer), with certainty if the risk order holds"
+    text = "P(inner) ≤ p ≤ P(outer), if the risk order holds"
     contradicted = Alarm.ORDER_CONTRADICTED in e.alarms
     return text + ("; here some outcomes contradict it." if contradicted else ".")
 
