@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from crashrate.errors import InvalidInputError
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+Word = TypeVar("Word", bound=StrEnum)
 
 
 class Direction(StrEnum):
@@ -36,13 +37,7 @@ class Direction(StrEnum):
         InvalidInputError
             If `value` is neither "increasing" nor "decreasing".
         """
-        try:
-            return cls(value)
-        except ValueError:
-            raise InvalidInputError(
-                f"{where}: expected 'increasing' or 'decreasing', got {value!r}; "
-                "'increasing' means that a larger value is riskier."
-            ) from None
+        return _one_of(cls, value, where, "'increasing' means that a larger value is riskier")
 
 
 class Scale(StrEnum):
@@ -60,13 +55,16 @@ class Scale(StrEnum):
         InvalidInputError
             If `value` is neither "linear" nor "log".
         """
-        try:
-            return cls(value)
-        except ValueError:
-            raise InvalidInputError(
-                f"{where}: expected 'linear' or 'log', got {value!r}; 'log' models the logarithm "
-                "of a positive variable."
-            ) from None
+        meaning = "'log' models the logarithm of a positive variable"
+        return _one_of(cls, value, where, meaning)
+
+
+def _one_of(kind: type[Word], value: str, where: str, meaning: str) -> Word:
+    try:
+        return kind(value)
+    except ValueError:
+        words = " or ".join(repr(str(word)) for word in kind)
+        raise InvalidInputError(f"{where}: expected {words}, got {value!r}; {meaning}.") from None
 
 
 @dataclass(frozen=True, slots=True)
