@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.run import estimate
 from crashrate.estimation.traffic_range import TrafficRange
@@ -110,10 +111,23 @@ def test_members_that_the_runs_do_not_determine_are_counted():
     [
         ((0.0, 0.05), set()),
         ((-0.3, 0.4), {Alarm.TRAFFIC_UNDETERMINED}),
-        ((0.0, -6.0), {Alarm.MEMBERS_UNDETERMINED}),
+        ((0.0, -6.0), {Alarm.MEMBERS_UNDETERMINED, Alarm.TRAFFIC_UNDETERMINED}),
     ],
 )
 def test_alarms_of_the_range(shifts, alarms):
     got = found(0, shifts=shifts)
     both = {Alarm.MEMBERS_UNDETERMINED, Alarm.TRAFFIC_UNDETERMINED}
     assert both & set(got.alarms) == alarms
+
+
+def test_members_far_below_the_others_count_as_spread():
+    high, low = (1e-5, 1.1e-5, 0.9e-5), (1e-9, 2e-9, 0.0)
+    got = TrafficRange(high + low, (1e-6,) * 3 + (2e-8,) * 3)
+    assert got.n_undetermined == 3
+    assert got.undetermined
+    assert TrafficRange((1e-6, 0.0), (1e-6, 1e-6)).undetermined  # nothing is known
+
+
+def test_methods_that_do_not_tell_members_apart_refuse_them():
+    with pytest.raises(InvalidInputError, match="expected 'sequential' for a traffic model with 4"):
+        found(0, method="huang2017")

@@ -169,6 +169,8 @@ def test_edited_simulator_is_refused_and_the_old_one_goes_on(own, traffic, tmp_p
     vouched = run(Scenario.from_file(own), traffic, tmp_path / "run", same_vehicle=True, **SETTINGS)
     assert vouched == first
     assert again() == first  # what was vouched for once is remembered
+    (edit,) = json.loads(result_text(tmp_path / "run"))["vouched_sources"]
+    assert edit["n_runs"] == 60
 
 
 def test_simulator_mended_before_its_first_outcome_goes_on(own, traffic, tmp_path):
@@ -399,3 +401,9 @@ def test_synthetic_events_are_said(scenario, traffic, tmp_path):
     assert result["synthetic"] is True
     assert result["traffic"]["events"] == {"n": 5, "synthetic": True}
     assert load_run(tmp_path).synthetic
+
+
+def test_traffic_model_on_another_scale_is_refused(scenario, traffic, tmp_path):
+    logged = replace(traffic, scales=["log", "linear"])
+    with pytest.raises(InvalidInputError, match=r"'linear' for a, got 'log'; fit one for this"):
+        run(scenario, logged, tmp_path / "run", **SETTINGS)

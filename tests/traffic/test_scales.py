@@ -12,6 +12,7 @@ from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import InvalidInputError
 from crashrate.estimation.run import estimate
 from crashrate.expressions import Expression
+from crashrate.sampling.orthants import orthant_constraints
 from crashrate.traffic.mixture import TruncatedGaussianMixture
 from crashrate.traffic.model import TrafficModel
 from crashrate.traffic.scales import Scales
@@ -199,3 +200,12 @@ def test_the_criterion_prefers_the_scale_that_is_true():
 def test_an_event_without_a_logarithm_is_named():
     with pytest.raises(InvalidInputError, match=r"positive numbers of x1.*got 0.0 at row 2"):
         TruncatedGaussianMixture(1, scales=[LINEAR, LOG]).fit([[1.0, 1.0], [2.0, 2.0], [3.0, 0.0]])
+
+
+def test_curved_constraints_are_of_the_situations():
+    model = two(lower=(0.1, -1.0), upper=(9.0, 9.0))
+    risk = order(model, r=(lambda x: x[:, 1] / x[:, 0], "increasing"), b="increasing")
+    (curved,) = orthant_constraints(risk, np.array([4.0, 1.0]), model.modelled).curved
+    z = model.scales.forward(model.sample(50, 8))
+    assert curved.values(z) == pytest.approx(risk(z)[:, 0])
+    assert curved.level == 4.0

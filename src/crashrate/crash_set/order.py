@@ -120,13 +120,15 @@ class RiskOrder:
             If x has another shape, or a coordinate is not finite: named with its row.
         """
         rows = as_rows(x, len(self.variables))
-        if self.scales is not None:
-            rows = self.scales.back(rows)
         u = np.empty((len(rows), self.n_coordinates))
-        for k, coordinate in enumerate(self.coordinates):
-            u[:, k] = coordinate.values(rows)
-        self._require_finite(u, rows)
+        for k in range(self.n_coordinates):
+            u[:, k] = self.coordinate(k, rows)
+        self._require_finite(u, rows if self.scales is None else self.scales.back(rows))
         return u
+
+    def coordinate(self, k: int, x: FloatArray) -> FloatArray:
+        """Risk coordinate k (n,) of rows (n, d), finite or not."""
+        return self.coordinates[k].values(x if self.scales is None else self.scales.back(x))
 
     def _require_finite(self, u: FloatArray, x: FloatArray) -> None:
         bad = np.argwhere(~np.isfinite(u))

@@ -88,6 +88,12 @@ class Campaign:
             raise InvalidInputError(
                 f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
             )
+        if traffic.members and method != "sequential":
+            raise InvalidInputError(
+                f"method: expected 'sequential' for a traffic model with {len(traffic.members)} "
+                f"members, got {method!r}, which does not tell them apart; fit a model without "
+                "an ensemble."
+            )
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units

@@ -57,14 +57,22 @@ class TrafficRange:
 
     @property
     def log_deviation(self) -> float:
-        """Standard deviation of log P over the members that the runs determine."""
+        """Standard deviation of log P over the members; NaN where two are not determined.
+
+        A member that the runs do not determine enters with its upper value, two standard errors
+        up, where that is still below the others' median; else it says nothing, and is left out.
+        """
         found = self.determined
-        return float(np.log(found).std(ddof=1)) if len(found) > 1 else math.nan
+        if len(found) < 2:
+            return math.nan
+        upper = np.maximum(self.probabilities, 0.0) + 2 * np.array(self.standard_errors)
+        low = upper[(self.n_eff < MIN_N_EFF) & (upper < np.median(found))]
+        return float(np.log(np.concatenate([found, low])).std(ddof=1))
 
     @property
     def undetermined(self) -> bool:
-        """Whether the recordings leave the probability open by more than a factor of two."""
-        return self.log_deviation > UNDETERMINED
+        """Whether the events leave the probability open by more than a factor of two."""
+        return not self.log_deviation <= UNDETERMINED
 
     def sentence(self) -> str:
         """The range in one sentence."""

@@ -147,6 +147,7 @@ def _origin(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
     versions = record.result.get("versions") or {}
     return (
         Fact("Traffic model", _traffic(record), "How often each situation occurs."),
+        *_vouched(record),
         Fact("Method", e.method, "“sequential” or the procedure “huang2017” of the paper."),
         Fact("Seed", str(e.seed), "With scenario and traffic model, gives the same run again."),
         Fact(
@@ -157,10 +158,25 @@ def _origin(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
     )
 
 
+def _vouched(record: RunRecord) -> tuple[Fact, ...]:
+    edits = record.result.get("vouched_sources")
+    if not edits:
+        return ()
+    return (
+        Fact(
+            "Simulator edited",
+            f"after {edits[-1]['n_runs']} runs",
+            "Outcomes from before the edit were kept, at the user's word that they are the same.",
+        ),
+    )
+
+
 def _traffic(record: RunRecord) -> str:
     traffic, provenance = record.traffic, record.traffic.provenance
     events = provenance.get("events") or {}
     text = f"{len(traffic.weights)} truncated normal components in {', '.join(traffic.names)}"
+    if traffic.members:
+        text += f", and {len(traffic.members) - 1} further fits"
     if provenance.get("description"):
         text += f": {provenance['description']}"
     if not events.get("n"):

@@ -98,7 +98,7 @@ def learned_set(record: RunRecord) -> Learned | None:
 
 
 def _likeliest_run(record: RunRecord) -> int:
-    return int(np.argmax(record.traffic.log_density(record.x)))
+    return int(np.argmax(record.traffic.average.log_density(record.x)))
 
 
 def _view(u: FloatArray, monotone: MonotoneSet) -> tuple[FloatArray, FloatArray]:

@@ -38,7 +38,7 @@ def by_density(record: RunRecord, *, crash: bool) -> np.ndarray:
     found = np.flatnonzero(record.outcomes == (1 if crash else 0))
     if not len(found):
         return found
-    return found[np.argsort(-record.traffic.log_density(record.x[found]), kind="stable")]
+    return found[np.argsort(-record.traffic.average.log_density(record.x[found]), kind="stable")]
 
 
 def likeliest_crashes(record: RunRecord) -> CrashTable:
@@ -49,7 +49,7 @@ def likeliest_crashes(record: RunRecord) -> CrashTable:
     units = units_of(scenario)
     headings = (*variable_axes(scenario), *(Axis(n, units[n]) for n in scenario.derived))
     columns = [*x.T, *(np.asarray(e(x)) for e in scenario.derived.values())]
-    density = _relative(record.traffic.log_density(x)) if len(x) else np.empty(0)
+    density = _relative(record.traffic.average.log_density(x)) if len(x) else np.empty(0)
     rows = tuple(
         (int(i) + 1, percent(float(density[k])), tuple(_cell(float(c[k])) for c in columns))
         for k, i in enumerate(chosen)

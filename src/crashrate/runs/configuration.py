@@ -17,6 +17,7 @@ from crashrate.traffic.model import TrafficModel
 
 TRAFFIC = "traffic model"
 SOURCE = "simulator_source"
+VOUCHED = "vouched_sources"  # edited since, their outcomes kept at the user's word
 
 
 def versions() -> dict[str, str]:
@@ -39,6 +40,13 @@ def require_same_variables(scenario: Scenario, traffic: TrafficModel) -> None:
             f"({', '.join(scenario.names)}), got ({', '.join(traffic.names)}); fit one with "
             "'crashrate fit EVENTS --scenario SCENARIO --out traffic.json'."
         )
+    for variable, scale in zip(scenario.variables, traffic.scales.each, strict=True):
+        if variable.scale is not scale:
+            raise InvalidInputError(
+                f"traffic model: expected the scale of the scenario {scenario.name!r}, "
+                f"{variable.scale.value!r} for {variable.name}, got {scale.value!r}; fit one for "
+                "this scenario."
+            )
     for side in ("lower", "upper"):
         wanted, got = np.array(getattr(scenario, side)), np.asarray(getattr(traffic, side))
         for name, want, have in zip(scenario.names, wanted, got, strict=True):
@@ -105,6 +113,12 @@ def require_same_source(directory: Path, stored: dict[str, str], asked: dict[str
             "the files to go on with the old, or give --same-vehicle if the edit changes no "
             "outcome that is stored."
         )
+
+
+def vouched(stored: dict[str, str], n_runs: int) -> str:
+    """The sources that were edited with their outcomes kept, one more: JSON for the store."""
+    before = json.loads(stored.get(VOUCHED, "[]"))
+    return json.dumps([*before, {"sha256": stored.get(SOURCE, ""), "n_runs": n_runs}])
 
 
 def require_budget(directory: Path, n_stored: int, stored: str | None, problem: Problem) -> None:

@@ -1,5 +1,6 @@
 """From events to a traffic model that remembers where it comes from."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -153,11 +154,19 @@ def fit_traffic(
             **parameters,
         )
         tasks = member_tasks(n_members, selection.admissible, seed)
-        fits = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=on_step)
+        members = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=on_step)
     model = selection.traffic_model(scenario.names)
     provenance = {**model.provenance, "events": _origin(events, synthetic, seed)}
     model = replace(model, provenance=provenance)
-    return with_members(model, fits) if fits else model
+    if not members:
+        return model
+    stuck = sum(not fit.converged for fit in members)
+    if stuck:
+        warnings.warn(
+            f"{stuck} of {n_members} further fits did not converge; they count as they are.",
+            stacklevel=2,
+        )
+    return with_members(model, members)
 
 
 def _origin(events: EventTable, synthetic: bool, seed: int) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from crashrate.estimation.estimate import Estimate
 from crashrate.estimation.strategy import Problem
 from crashrate.runs.configuration import (
     SOURCE,
+    VOUCHED,
     configuration,
     require_budget,
     require_same_run,
@@ -26,6 +27,7 @@ from crashrate.runs.configuration import (
     require_same_variables,
     target_text,
     versions,
+    vouched,
 )
 from crashrate.runs.result import read_result, result_dict, write_result
 from crashrate.runs.scenario import Scenario
@@ -146,9 +148,11 @@ def _store(
         n_runs = store.n_runs()
         if n_runs and not same_vehicle:
             require_same_source(directory, stored, config)
-        else:  # it failed on its first situation, say, and was mended; or the user vouches for it
-            store.set_config(SOURCE, config[SOURCE])
         require_budget(directory, n_runs, stored.get("target"), problem)
+        if n_runs and stored.get(SOURCE) and stored[SOURCE] != config[SOURCE]:
+            store.set_config(VOUCHED, vouched(stored, n_runs))
+        # it failed on its first situation, say, and was mended; or the user vouches for it
+        store.set_config(SOURCE, config[SOURCE])
     except StoreError:
         store.close()
         raise
@@ -257,4 +261,6 @@ def _go_on(sitting: _Sitting, k: int) -> Estimate:
 
 def _write(sitting: _Sitting, estimate: Estimate) -> None:
     result = result_dict(estimate, sitting.scenario, sitting.campaign.problem)
+    if text := sitting.store.config().get(VOUCHED):
+        result["vouched_sources"] = json.loads(text)
     write_result(sitting.directory, result)

@@ -5,6 +5,7 @@ truncation box is a constraint like any other (§VI.B of the 2017 paper).
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +82,7 @@ def orthant_constraints(order: RiskOrder, apex: FloatArray, traffic: TrafficMode
     for k in np.flatnonzero(apex > -np.inf):
         half_space = order.half_space(int(k), float(apex[k]), traffic.lower, traffic.upper)
         if half_space is None:
-            curved.append(CurvedConstraint(order.coordinates[k].values, float(apex[k])))
+            curved.append(CurvedConstraint(partial(order.coordinate, int(k)), float(apex[k])))
         else:
             normals.append(half_space.normal[None])
             offsets.append(np.array([half_space.offset]))

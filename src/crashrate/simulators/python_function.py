@@ -7,7 +7,6 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from modulefinder import ModuleFinder
 from pathlib import Path
 from types import ModuleType
 
@@ -16,6 +15,7 @@ import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError, SimulationError
 from crashrate.simulators.base import check_outcomes
+from crashrate.simulators.own_files import own_files
 from crashrate.variables import FloatArray, nearest
 
 
@@ -87,7 +87,8 @@ class PythonFunction:
         file = getattr(module, "__file__", None)  # a module built into Python has none
         if not file:
             return ""
-        files = _own_files(Path(file), self.folder)
+        own = Path(file)
+        files = [own] if self.folder is None else own_files(own, Path(self.folder))
         return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 
     def __call__(self, x: npt.ArrayLike) -> FloatArray:
@@ -144,19 +145,6 @@ class PythonFunction:
                 f"simulator function {self.target!r}: expected the module {own[0]}, but the name "
                 f"{name!r} is taken by {module.__file__ or 'a built-in module'}; rename the file."
             )
-
-
-def _own_files(file: Path, folder: str | None) -> list[Path]:
-    """`file`, and the files in `folder` that it imports wherever in its text: first, and by name.
-
-    Found in the texts, so that it does not matter what was imported already.
-    """
-    if folder is None or file.suffix != ".py":
-        return [file]
-    finder = ModuleFinder(path=[folder])
-    finder.run_script(str(file))
-    named = [getattr(module, "__file__", None) for module in finder.modules.values()]
-    return [file, *sorted({Path(name) for name in named if name} - {file})]
 
 
 def _told(error: BaseException, folder: str | None) -> str:

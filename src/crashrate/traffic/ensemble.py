@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from crashrate.errors import InvalidInputError
+from crashrate.errors import InvalidInputError, NumericalError
 from crashrate.traffic.mixture import TruncatedGaussianMixture
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
+MAX_RETRIES = 3
 OnStep = Callable[[int, int, str], None]
 
 
@@ -61,7 +62,16 @@ def event_weights(n: int, seed: int) -> FloatArray:
 
 
 def fit_task(task: Task, rows: FloatArray, parameters: dict[str, Any]) -> Fitted:
-    """Fit one task's mixture to events (n, d)."""
+    """Fit one task's mixture to events (n, d); a bootstrap fit that fails starts elsewhere."""
+    for _ in range(0 if task.bootstrap is None else MAX_RETRIES):
+        try:
+            return _fit(task, rows, parameters)
+        except NumericalError:
+            task = replace(task, seed=task.seed + 1)
+    return _fit(task, rows, parameters)
+
+
+def _fit(task: Task, rows: FloatArray, parameters: dict[str, Any]) -> Fitted:
     weights = None if task.bootstrap is None else event_weights(len(rows), task.bootstrap)
     mixture = TruncatedGaussianMixture(task.n_components, random_state=task.seed, **parameters)
     with warnings.catch_warnings():
