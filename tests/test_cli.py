@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from crashrate import datasets
+from crashrate import cli, datasets
 from crashrate.cli import app
 from crashrate.estimation import campaign
 from crashrate.estimation.alarms import Alarm, StopReason
@@ -356,10 +357,23 @@ def test_fit_with_further_fits_keeps_them_and_tells_of_the_end_of_the_range(even
     )  # fmt: skip
     assert done.exit_code == 0
     assert "with 3 further fits" in done.stdout
+    assert "spread over starts" in done.stdout
+    assert "not identified" not in done.stdout
     assert "Warning: BIC is lowest at 2, the most components that were tried" in done.stderr
     model = TrafficModel.from_json(out)
     assert len(model.members) == 4
     assert np.shape(model.provenance["selection"]["bic_restarts"]) == (2, 2)
+
+
+def test_numbers_that_the_criterion_does_not_tell_apart_are_named(capsys):
+    selection = {
+        "n_components": [1, 2, 3], "bic": [90.0, 12.0, 15.0],
+        "bic_restarts": [[90.0, 91.0], [12.0, 20.0], [15.0, 15.5]], "admissible": [2, 3],
+    }  # fmt: skip
+    cli._print_selection(selection)
+    shown = capsys.readouterr().out
+    assert "not identified: BIC does not tell 2, 3 apart" in shown
+    assert re.search(r"2 +12\.0 +8\.0  lowest", shown)
 
 
 def test_fit_tells_of_too_few_events(events, tmp_path):

@@ -393,9 +393,15 @@ def _print_selection(selection: dict[str, Any]) -> None:
     if len(rows) == 1:
         return
     best = min(bic for _, bic in rows)
-    typer.echo("components           BIC")
-    for n, bic in rows:
-        typer.echo(f"{n:10d}  {bic:14.1f}{'  lowest' if bic == best else ''}")
+    spreads = [max(starts) - min(starts) for starts in selection["bic_restarts"]]
+    several = len(selection["bic_restarts"][0]) > 1
+    typer.echo("components           BIC" + "  spread over starts" * several)
+    for (n, bic), spread in zip(rows, spreads, strict=True):
+        shown = f"{spread:20.1f}" * several
+        typer.echo(f"{n:10d}  {bic:14.1f}{shown}{'  lowest' if bic == best else ''}")
+    if len(near := selection["admissible"]) > 1:
+        known = ", ".join(map(str, near))
+        typer.echo(f"The number of components is not identified: BIC does not tell {known} apart.")
     if rows[-1][1] == best:
         _show_warning(
             f"BIC is lowest at {rows[-1][0]}, the most components that were tried: more may fit "
