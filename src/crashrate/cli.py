@@ -166,7 +166,7 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 @_command(
     "crashrate fit events.parquet --scenario examples/huang2017.toml --components 9 --out t.json",
     "crashrate fit events.csv --scenario examples/cut_in.toml --components 1:15 --out t.json",
-    "crashrate fit events.csv --scenario examples/cut_in.toml --ensemble 40 --workers 2 --out t.json",
+    "crashrate fit events.csv --scenario examples/cut_in.toml --ensemble 40 --out t.json",
 )
 def fit(
     ctx: typer.Context,
