@@ -204,12 +204,6 @@ def fit(
 
     require_file_place(out)
     require_replaceable(out)
-    for name, given in (("EVENTS", events), ("--scenario", scenario)):
-        if out.exists() and given.exists() and out.samefile(given):
-            raise InvalidInputError(
-                f"--out: expected a file to write the traffic model to, got {out}, which is "
-                f"{name}; choose another."
-            )
     what, numbers = Scenario.from_file(scenario), fitting.parse_components(components)
     table = fitting.read_scenario_events(what, events, drop_invalid=drop_invalid)
     fitting.require_enough(table, numbers, events)

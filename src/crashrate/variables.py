@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +14,35 @@ from crashrate.errors import InvalidInputError
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-Word = TypeVar("Word", bound=StrEnum)
 
 
-class Direction(StrEnum):
+class Word(StrEnum):
+    """A choice that is given by name."""
+
+    @classmethod
+    def parse(cls, value: str, where: str) -> Self:
+        """The choice named by `value`; `where` names its place in the error.
+
+        Raises
+        ------
+        InvalidInputError
+            If `value` is not one of the names.
+        """
+        try:
+            return cls(value)
+        except ValueError:
+            words = " or ".join(repr(str(word)) for word in cls)
+            raise InvalidInputError(
+                f"{where}: expected {words}, got {value!r}; {cls.meaning()}."
+            ) from None
+
+    @classmethod
+    def meaning(cls) -> str:
+        """What one of the names stands for, as an error says it."""
+        raise NotImplementedError
+
+
+class Direction(Word):
     """Which way a quantity makes a situation riskier."""
 
     INCREASING = "increasing"
@@ -29,42 +54,21 @@ class Direction(StrEnum):
         return 1.0 if self is Direction.INCREASING else -1.0
 
     @classmethod
-    def parse(cls, value: str, where: str) -> "Direction":
-        """The direction named by `value`; `where` names its place in the error.
-
-        Raises
-        ------
-        InvalidInputError
-            If `value` is neither "increasing" nor "decreasing".
-        """
-        return _one_of(cls, value, where, "'increasing' means that a larger value is riskier")
+    def meaning(cls) -> str:
+        """As an error says it."""
+        return "'increasing' means that a larger value is riskier"
 
 
-class Scale(StrEnum):
+class Scale(Word):
     """On which scale a variable is modelled."""
 
     LINEAR = "linear"
     LOG = "log"
 
     @classmethod
-    def parse(cls, value: str, where: str) -> "Scale":
-        """The scale named by `value`; `where` names its place in the error.
-
-        Raises
-        ------
-        InvalidInputError
-            If `value` is neither "linear" nor "log".
-        """
-        meaning = "'log' models the logarithm of a positive variable"
-        return _one_of(cls, value, where, meaning)
-
-
-def _one_of(kind: type[Word], value: str, where: str, meaning: str) -> Word:
-    try:
-        return kind(value)
-    except ValueError:
-        words = " or ".join(repr(str(word)) for word in kind)
-        raise InvalidInputError(f"{where}: expected {words}, got {value!r}; {meaning}.") from None
+    def meaning(cls) -> str:
+        """As an error says it."""
+        return "'log' models the logarithm of a positive variable"
 
 
 @dataclass(frozen=True, slots=True)

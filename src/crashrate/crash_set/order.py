@@ -66,7 +66,7 @@ class RiskOrder:
     variables : tuple of str
         Names of the columns of x.
     scales : Scales or None
-        Where given, rows are not x but what a traffic model makes normal of it.
+        Where given, not all linear, rows are not x but what a traffic model makes normal of it.
     """
 
     coordinates: tuple[RiskCoordinate, ...]
@@ -119,16 +119,19 @@ class RiskOrder:
         InvalidInputError
             If x has another shape, or a coordinate is not finite: named with its row.
         """
-        rows = as_rows(x, len(self.variables))
+        rows = self._situations(as_rows(x, len(self.variables)))
         u = np.empty((len(rows), self.n_coordinates))
-        for k in range(self.n_coordinates):
-            u[:, k] = self.coordinate(k, rows)
-        self._require_finite(u, rows if self.scales is None else self.scales.back(rows))
+        for k, coordinate in enumerate(self.coordinates):
+            u[:, k] = coordinate.values(rows)
+        self._require_finite(u, rows)
         return u
 
     def coordinate(self, k: int, x: FloatArray) -> FloatArray:
         """Risk coordinate k (n,) of rows (n, d), finite or not."""
-        return self.coordinates[k].values(x if self.scales is None else self.scales.back(x))
+        return self.coordinates[k].values(self._situations(x))
+
+    def _situations(self, rows: FloatArray) -> FloatArray:
+        return rows if self.scales is None else self.scales.back(rows)
 
     def _require_finite(self, u: FloatArray, x: FloatArray) -> None:
         bad = np.argwhere(~np.isfinite(u))
@@ -167,7 +170,7 @@ class RiskOrder:
             The set inside the box is {x: normal @ x >= offset};
             None where the set is not known to be a half-space.
         """
-        if self.scales is not None and not self.scales.linear:
+        if self.scales is not None:
             return self._modelled_half_space(self.scales, k, level, lower, upper)
         coordinate = self.coordinates[k]
         if coordinate.index is not None:

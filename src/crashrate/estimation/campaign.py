@@ -97,8 +97,10 @@ class Campaign:
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units
+        modelled = traffic.modelled
         self._problem = Problem(
-            traffic=traffic.average.modelled,
+            traffic=modelled.average,
+            ensemble=modelled if traffic.members else None,
             order=order and order.on(traffic.scales),
             relative_half_width=relative_half_width,
             max_calls=max_calls,

@@ -108,8 +108,6 @@ class Labels:
         that such an outcome implies would cost many runs far from the edge. Not for bounds. An
         outcome that many others contradict is left out: it is the one that is odd.
         """
-        if self.learned is None:
-            return self.implied(u)
         least, most = self._fronts
         crash, safe = above_any(u, least), below_any(u, most)
         return crash & ~safe, safe & ~crash
@@ -121,11 +119,10 @@ class Labels:
             return self.u[:0], self.u[:0]
         u, crash = self.learned.u, self.learned.crash
         against = np.zeros(len(u), dtype=int)
-        if self.contradictions:
-            where = np.flatnonzero(self.learned.contradicted)
-            pairs = self.contradiction_gaps(np.ones(u.shape[1])) >= 0
-            against[where[crash[where]]] = pairs.sum(axis=1)
-            against[where[~crash[where]]] = pairs.sum(axis=0)
+        where = np.flatnonzero(self.learned.contradicted)
+        pairs = self.contradiction_gaps(np.ones(u.shape[1])) >= 0
+        against[where[crash[where]]] = pairs.sum(axis=1)
+        against[where[~crash[where]]] = pairs.sum(axis=0)
         trusted = against <= MAX_AGAINST
         return minimal(u[crash & trusted]), maximal(u[~crash & trusted])
 
@@ -143,7 +140,9 @@ class Labels:
         Contradicted outcomes vouch for nothing here: what contradicts them is evidence that the
         next safe outcome above a crash, or crash below a safe one, may be as deep again.
         """
-        return self.implied(u - margin)[0] | self.implied(u + margin)[1]
+        if self.learned is None:
+            return np.zeros(len(u), dtype=bool)
+        return self.learned.in_inner(u - margin) | ~self.learned.in_outer(u + margin)
 
 
 def n_to_discard(contradict: BoolArray) -> int:

@@ -115,14 +115,19 @@ def _under_members(
     """The same sums with each member's weights instead: estimates and variances (M,)."""
     part = view.weights * view.h
     estimates = part @ ratios + moved @ ratios[drawn.rows]
-    spread = view.spread**2 / np.maximum(drawn.probabilities, 1e-300) / len(drawn.rows)
+    spread = _variance_parts(view, drawn.probabilities) / len(drawn.rows)
     pool = np.maximum(part**2 @ ratios**2 - (part @ ratios) ** 2 / view.pool.n_drawn, 0.0)
     return estimates, np.maximum(spread @ ratios**2 + pool, TINY)
 
 
 def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
     """Variance of the correction if h is right: Σ w² h (1-h) / pr / n."""
-    return float((view.spread**2 / np.maximum(probabilities, 1e-300)).sum() / n)
+    return float(_variance_parts(view, probabilities).sum() / n)
+
+
+def _variance_parts(view: View, probabilities: FloatArray) -> FloatArray:
+    """What each draw of the pool adds to the variance of one draw's correction."""
+    return view.spread**2 / np.maximum(probabilities, 1e-300)
 
 
 @dataclass(frozen=True)

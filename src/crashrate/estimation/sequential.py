@@ -249,7 +249,7 @@ def _estimate(
     snapshot = replace(snapshot, phase="estimate")
     labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
     outcomes = labels.y[-len(rows) :][np.searchsorted(rows, drawn.rows)]
-    ratios = problem.traffic.member_ratios(view.pool.x) if problem.traffic.members else None
+    ratios = None if problem.ensemble is None else problem.ensemble.member_ratios(view.pool.x)
     return labels, (*state.rounds, measure(view, drawn, outcomes, ratios))
 
 

@@ -46,6 +46,8 @@ class Problem:
         Level of the interval.
     batch_size : int
         Simulator runs asked for at a time.
+    ensemble : TrafficModel or None
+        The model with members whose average `traffic` is.
     seed : int
         Batch k draws from ``SeedSequence(seed, spawn_key=(k,))``.
     """
@@ -57,6 +59,7 @@ class Problem:
     confidence: float = 0.95
     batch_size: int = 10
     seed: int = 0
+    ensemble: TrafficModel | None = None
 
     def __post_init__(self) -> None:
         for name, kind in NUMBERS.items():

@@ -153,15 +153,14 @@ def fit_traffic(
             random_state=seed,
             **parameters,
         )
+        model = selection.traffic_model(scenario.names)
+        provenance = {**model.provenance, "events": _origin(events, synthetic, seed)}
+        model = replace(model, provenance=provenance)
+        if not n_members:
+            return model
         tasks = member_tasks(n_members, selection.admissible, seed)
         members = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=on_step)
-    model = selection.traffic_model(scenario.names)
-    provenance = {**model.provenance, "events": _origin(events, synthetic, seed)}
-    model = replace(model, provenance=provenance)
-    if not members:
-        return model
-    stuck = sum(not fit.converged for fit in members)
-    if stuck:
+    if stuck := sum(not fit.converged for fit in members):
         warnings.warn(
             f"{stuck} of {n_members} further fits did not converge; they count as they are.",
             stacklevel=2,

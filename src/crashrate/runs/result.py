@@ -33,7 +33,7 @@ def result_dict(estimate: Estimate, scenario: Scenario, problem: Problem) -> dic
         "traffic": {
             "variables": list(traffic.names),
             "n_components": traffic.n_components,
-            "n_members": len(traffic.members),
+            "n_members": 0 if problem.ensemble is None else len(problem.ensemble.members),
             "events": {k: v for k, v in _events(traffic).items() if k != "sample"},
         },
         "synthetic": is_synthetic(traffic),

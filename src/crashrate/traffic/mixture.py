@@ -172,7 +172,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         with threadpool_limits(limits=1, user_api="blas"):
             best, strength = self._best_fit(events, schedule, standard)
         self._n_events, self._sides, self._scales = events.n, (lower, upper), scales
-        jacobian = scales.log_jacobian(rows)
+        jacobian = scales.log_jacobian(z)
         total = jacobian.sum() if counts is None else counts @ jacobian
         self._keep(best, strength, standard, float(total))
         if not best.converged:

@@ -202,7 +202,7 @@ class TrafficModel:
         x = self.from_modelled(np.concatenate([np.empty((0, self.n_variables)), *parts]))
         return x, np.repeat(np.arange(self.n_components), counts)
 
-    @property
+    @cached_property
     def modelled(self) -> "TrafficModel":
         """The law of z, in which every component is a normal; see :meth:`from_modelled`."""
         if self.scales.linear:
@@ -226,6 +226,7 @@ class TrafficModel:
             weights=np.concatenate(shares),
             means=np.concatenate([member.means for member in self.members]),
             covariances=np.concatenate([member.covariances for member in self.members]),
+            members=(),
         )
 
     def member_ratios(self, x: npt.ArrayLike) -> FloatArray:
@@ -261,8 +262,8 @@ class TrafficModel:
         rows = as_rows(x, self.n_variables)
         out = np.empty(len(rows))
         for block in quadratic.blocks(len(rows)):
-            out[block] = quadratic.log_sum(self._block_terms(rows[block]))
-        out += self._log_jacobian(rows)
+            z = self._modelled_rows(rows[block])
+            out[block] = quadratic.log_sum(self._block_terms(z)) + self.scales.log_jacobian(z)
         out[~self.contains(rows)] = -np.inf
         return out
 
@@ -271,8 +272,8 @@ class TrafficModel:
         rows = as_rows(x, self.n_variables)
         out = np.empty((len(rows), self.n_components))
         for block in quadratic.blocks(len(rows)):
-            out[block] = self._block_terms(rows[block]).T
-        out += self._log_jacobian(rows)[:, None]
+            z = self._modelled_rows(rows[block])
+            out[block] = (self._block_terms(z) + self.scales.log_jacobian(z)).T
         out[~self.contains(rows)] = -np.inf
         return out
 
@@ -281,27 +282,21 @@ class TrafficModel:
         rows = as_rows(x, self.n_variables)
         out = np.empty((len(rows), self.n_components))
         for block in quadratic.blocks(len(rows)):
-            terms = self._block_terms(rows[block])
+            terms = self._block_terms(self._modelled_rows(rows[block]))
             quadratic.log_sum(terms)
             out[block] = terms.T
         return out
 
-    def _block_terms(self, rows: FloatArray) -> FloatArray:
-        """log w_k g_k (K, n) of z at a block of rows x, as if there were no box."""
-        z = self._logarithms(rows)
+    def _block_terms(self, z: FloatArray) -> FloatArray:
+        """log w_k g_k (K, n) of a block of rows z, as if there were no box."""
         terms = self._coefficients @ quadratic.features((z - self.mean) / self._scale)
         return np.asarray(terms)
 
-    def _logarithms(self, rows: FloatArray) -> FloatArray:
+    def _modelled_rows(self, rows: FloatArray) -> FloatArray:
         """z of rows x; any finite number where there is none, for that is outside the box."""
         if self.scales.linear:
             return rows
         return self.scales.forward(np.where(self.scales.log & (rows <= 0.0), 1.0, rows))
-
-    def _log_jacobian(self, rows: FloatArray) -> FloatArray:
-        if self.scales.linear:
-            return np.zeros(len(rows))
-        return self.scales.log_jacobian(np.where(self.scales.log & (rows <= 0.0), 1.0, rows))
 
     def box_probability(self, lo: npt.ArrayLike, hi: npt.ArrayLike) -> FloatArray:
         """Probability of boxes under the model, without sampling.

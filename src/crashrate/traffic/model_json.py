@@ -21,7 +21,7 @@ _OWN = ("weights", "means", "covariances", "provenance")  # of a member; it shar
 def to_document(model: "TrafficModel") -> dict[str, Any]:
     """The numbers of a model; JSON has no infinity, so an open side is null."""
     # absent where all are linear: what an earlier crashrate wrote stays equal to itself
-    members = [{key: to_document(member)[key] for key in _OWN} for member in model.members]
+    members = [{key: own[key] for key in _OWN} for own in (to_document(m) for m in model.members)]
     scales = {} if model.scales.linear else {"scales": [str(s) for s in model.scales.each]}
     return {
         "schema": SCHEMA,

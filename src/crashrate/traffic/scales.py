@@ -63,9 +63,9 @@ class Scales:
         x[..., self.log] = np.exp(x[..., self.log])
         return x
 
-    def log_jacobian(self, x: FloatArray) -> FloatArray:
-        """log |dz / dx| (n,) at rows x (n, d): added to a log density of z, gives that of x."""
-        jacobian: FloatArray = -np.log(x[:, self.log]).sum(axis=1)
+    def log_jacobian(self, z: FloatArray) -> FloatArray:
+        """log |dz / dx| (n,) at rows z (n, d): added to a log density of z, gives that of x."""
+        jacobian: FloatArray = -z[:, self.log].sum(axis=1)  # dz / dx is 1 / x
         return jacobian
 
     def require_positive(self, names: Sequence[str], x: FloatArray, what: str = "x") -> None:
