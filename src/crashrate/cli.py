@@ -21,6 +21,8 @@ from crashrate.runs.progress import progress
 if TYPE_CHECKING:
     from crashrate.estimation.campaign import Campaign
     from crashrate.estimation.estimate import Estimate
+    from crashrate.events import EventTable
+    from crashrate.traffic.model import TrafficModel
 
 ERROR, TARGET_NOT_MET, INTERRUPTED = 1, 3, 130
 REPORT = "report.html"
@@ -198,12 +200,13 @@ def fit(
 ) -> None:
     """Fit a traffic model to recorded events."""
     del ctx
-    from crashrate.runs import fitting
+    from crashrate.runs import fitting, recorded
     from crashrate.runs.places import require_file_place, require_replaceable
     from crashrate.runs.scenario import Scenario
 
     require_file_place(out)
     require_replaceable(out)
+    recorded.require_replaceable_events(out, events)
     what, numbers = Scenario.from_file(scenario), fitting.parse_components(components)
     table = fitting.read_scenario_events(what, events, drop_invalid=drop_invalid)
     fitting.require_enough(table, numbers, events)
@@ -220,6 +223,7 @@ def fit(
             on_step=lambda done, total, message: say(f"fit {done} of {total}: {message}"),
         )
     out.parent.mkdir(parents=True, exist_ok=True)
+    recorded.write_events(out, table)
     model.to_json(out)
     _print_selection(model.provenance["selection"])
     if warning := fitting.thin_data(len(table), model.n_components, model.n_variables):
@@ -251,6 +255,14 @@ def run(
     max_calls: Annotated[
         int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
     ] = None,
+    replay_calls: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Most recorded events to simulate at the end, beside the budget, where the "
+            "campaign leaves their outcome in doubt.",
+        ),
+    ] = 50,
     same_vehicle: Annotated[
         bool,
         typer.Option(
@@ -268,6 +280,7 @@ def run(
 
     places.require_folder_place(out)
     what, model = Scenario.from_file(scenario), places.traffic_named(traffic)
+    events = _events_of(traffic, model)
     n_stored = runner.n_stored(out)
     # what a simulator prints is not the answer
     with progress() as say, redirect_stdout(sys.stderr):
@@ -280,7 +293,10 @@ def run(
             relative_half_width=relative_half_width,
             max_calls=max_calls,
             same_vehicle=same_vehicle,
+            events=events,
+            replay_calls=replay_calls,
             on_progress=lambda campaign: say(_standing(campaign)),
+            say=say,
         )
     _finish(out, estimate, output, n_stored)
 
@@ -332,12 +348,30 @@ def demo(
             model,
             folder,
             seed=seed,
+            events=events,
             on_progress=lambda campaign: say(_standing(campaign)),
+            say=say,
         )
     _finish(folder, estimate, Format.TEXT, n_stored)
 
 
 # --- what commands share
+
+
+def _events_of(traffic: str, model: "TrafficModel") -> "EventTable | None":
+    """The events behind a traffic model, where they lie beside its file."""
+    from crashrate.runs import places, recorded
+
+    if traffic == places.PUBLISHED or not recorded.remembers_events(model):
+        return None
+    events = recorded.read_events_beside(Path(traffic), model)
+    if events is None:
+        typer.echo(
+            f"Note: no {recorded.events_path(Path(traffic))}, which 'crashrate fit' writes: the "
+            "recordings are not replayed, and the model's tail is not checked.",
+            err=True,
+        )
+    return events
 
 
 def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int) -> None:
@@ -371,6 +405,9 @@ def _print_result(result: dict[str, Any], output: Format) -> None:
     typer.echo(result["sentence"])
     if traffic_range := result.get("traffic_range"):
         typer.echo(traffic_range["sentence"])
+    if recordings := result.get("recordings"):
+        for sentence in recordings["sentences"]:
+            typer.echo(sentence)
     if result["synthetic"]:
         typer.echo(
             "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True

@@ -1,3 +1,5 @@
+import hashlib
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,8 @@ def test_model_remembers_where_it_comes_from(scenario, events):
         "n": 3000,
         "dropped": {"not closing": 7},
         "synthetic": False,
+        "n_duplicates": 0,
+        "sha256": hashlib.sha256(events.values.tobytes()).hexdigest(),
     }
     sample = np.array(told["sample"])
     assert sample.shape == (2000, 2)

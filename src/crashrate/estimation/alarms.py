@@ -46,6 +46,21 @@ class Alarm(StrEnum):
         "some of the traffic models put their crashes where the simulator runs have seen too "
         "little: their part of the range is rough"
     )
+    TAIL_MISFIT = (
+        "the events, made more severe, crash more often or less often than the traffic model "
+        "expects: its tail, and any probability from it, is in doubt"
+    )
+    EXTREMES_DISAGREE = (
+        "extreme-value theory on the events' margins to a crash excludes the probability: the "
+        "traffic model's tail is in doubt"
+    )
+    REPLAY_DISAGREES = (
+        "replaying the events excludes the probability: the traffic model does not describe them"
+    )
+    FEW_EVENTS_DECIDE = (
+        "five events carry half or more of what the events leave open: look at them before the "
+        "number is used"
+    )
     NO_ORDER = (
         "no risk order is in use: crash regions that no run came near are taken as safe, and "
         "the bounds say nothing"

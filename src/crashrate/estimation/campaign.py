@@ -13,7 +13,7 @@ from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.estimation.strategy import Method, Problem, Query, Snapshot
 from crashrate.traffic.model import TrafficModel
-from crashrate.variables import FloatArray, nearest
+from crashrate.variables import FloatArray, as_rows, nearest
 
 MIN_CRASHES = 10
 NEARLY_ALL = 0.9  # a probability above it is rather an outcome turned round
@@ -226,6 +226,29 @@ class Campaign:
             history=tuple(self._history),
             traffic_range=s.traffic_range,
         )
+
+    def crash_probability(self, x: npt.ArrayLike) -> FloatArray:
+        """What the finished campaign holds about situations x (n, d): P(crash | outcomes), (n,).
+
+        A surrogate's opinion with what the risk order implies: to choose what to look at. The
+        answer of a campaign is :meth:`estimate`.
+
+        Raises
+        ------
+        CallOrderError
+            If the campaign is not done, or ended without having learned a crash set.
+        InvalidInputError
+            If x has another shape, or is not finite.
+        """
+        belief = self._snapshot.belief
+        if belief is None:
+            raise CallOrderError(
+                "crash_probability: expected a campaign that is done and has found crashes by the "
+                f"method 'sequential'; this one is {self._snapshot.stop_reason.value!r} after "
+                f"{self.n_calls} simulator runs by {self._method!r}."
+            )
+        rows = as_rows(x, self._traffic.n_variables)
+        return belief(self._traffic.scales.forward(rows))
 
     def _start(self) -> None:
         if self._pending is None and not self._told and self._running():

@@ -139,7 +139,7 @@ class Estimate:
             "stop_reason": self.stop_reason.value,
             "traffic_range": self.traffic_range and self.traffic_range.to_dict(),
         }
-        return {key: _json_ready(value) for key, value in record.items()}
+        return {key: json_ready(value) for key, value in record.items()}
 
 
 def in_words(number: float) -> str:
@@ -154,11 +154,12 @@ def _two_digits(number: float) -> float:
     return float(f"{number:.2g}")
 
 
-def _json_ready(value: Any) -> Any:
+def json_ready(value: Any) -> Any:
+    """`value` with None for numbers that are not finite, which JSON has not."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, dict):
-        return {key: _json_ready(v) for key, v in value.items()}
+        return {key: json_ready(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_json_ready(v) for v in value]
+        return [json_ready(v) for v in value]
     return value

@@ -14,6 +14,7 @@ import numpy as np
 from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
+from crashrate.estimation.belief import Belief
 from crashrate.estimation.crude import crude
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
@@ -165,7 +166,14 @@ def sequential(problem: Problem) -> Learner:
     else:
         snapshot = replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
     exact = exact_bounds(problem, state.labels)
-    return snapshot if exact is None else replace(snapshot, bounds=exact)
+    bounds = snapshot.bounds if exact is None else exact
+    return replace(snapshot, bounds=bounds, belief=_belief(state))
+
+
+def _belief(state: State) -> Belief:
+    """What all outcomes say, the last round's included."""
+    surrogate, model = _fit(state)
+    return Belief(state.labels, surrogate, model.standardise, state.proposal)
 
 
 def _begin(problem: Problem, explored: Explored) -> State:

@@ -8,6 +8,7 @@ so that a campaign is a function of (configuration, seed, outcomes) and resume i
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from numbers import Integral, Real
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
+
+if TYPE_CHECKING:
+    from crashrate.estimation.belief import Belief
 
 NUMBERS = {
     "relative_half_width": Real,
@@ -106,6 +110,9 @@ class Snapshot:
         The probability under each member of the traffic model.
     learned : MonotoneSet or None
         What the outcomes imply through the risk order.
+    belief : Belief or None
+        The crash probability of any situation, as learned: at the end of a campaign that found
+        crashes by a method with a surrogate.
     phase : str
         For progress display.
     stop_reason : StopReason
@@ -121,6 +128,7 @@ class Snapshot:
     alarms: tuple[Alarm, ...] = ()
     traffic_range: TrafficRange | None = None
     learned: MonotoneSet | None = field(default=None, repr=False)
+    belief: "Belief | None" = field(default=None, repr=False)
     phase: str = "explore"
     stop_reason: StopReason = StopReason.RUNNING
 

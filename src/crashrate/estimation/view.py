@@ -137,19 +137,27 @@ class View:
 
 def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardiser) -> View:
     """Look at `pool` through the outcomes and the surrogate fitted to them."""
+    h, raw, inner, outside = held(pool.u, labels, surrogate, standardise)
     crash, safe = labels.implied(pool.u)
-    seen = surrogate.predict(standardise(pool.u))
+    return View(pool, h, raw, inner, outside, crash, safe)
+
+
+def held(
+    u: FloatArray, labels: Labels, surrogate: Surrogate, standardise: Standardiser
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """What is held about risk coordinates `u` (n, m): `h`, `surrogate_h`, `inner`, `safe`."""
+    seen = surrogate.predict(standardise(u))
     raw = np.clip(seen.probability, UNSURE, 1 - UNSURE)
-    presumed_crash, presumed_safe = labels.presumed(pool.u)
+    presumed_crash, presumed_safe = labels.presumed(u)
     inner, outside = presumed_crash & (raw > 1 - OBJECTION), presumed_safe & (raw < OBJECTION)
     h = np.where(inner, 1.0, np.where(outside, 0.0, raw))
     ripple = labels.contradiction_gaps(standardise.scale).max(initial=RIPPLE)
-    deep = labels.implied_deep(pool.u, ripple * standardise.scale)
+    deep = labels.implied_deep(u, ripple * standardise.scale)
     edge = (inner | outside) & (np.abs(seen.danger) < 2 * ripple) & ~deep
     h = np.where(edge, np.clip(raw, EDGE_DOUBT, 1 - EDGE_DOUBT), h)
     if labels.learned is None:
         h = np.where(h < FAR, FAR_PROBABILITY, h)
-    return View(pool, h, raw, inner, outside, crash, safe)
+    return h, raw, inner, outside
 
 
 def normalised(weights: FloatArray) -> FloatArray:

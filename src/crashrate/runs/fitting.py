@@ -10,6 +10,8 @@ import numpy as np
 
 from crashrate.errors import InvalidInputError
 from crashrate.events import EventTable, read_events
+from crashrate.recordings.check import n_duplicates
+from crashrate.runs.recorded import digest
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
@@ -175,6 +177,8 @@ def _origin(events: EventTable, synthetic: bool, seed: int) -> dict[str, Any]:
     return {
         "source": events.source,
         "n": len(events),
+        "n_duplicates": n_duplicates(events.values),
+        "sha256": digest(events),
         "dropped": dict(events.dropped),
         "synthetic": synthetic,
         "sample": sample.tolist(),

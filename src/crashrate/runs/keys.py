@@ -81,6 +81,13 @@ class Table:
             raise self.error(f"{key}: expected a number, got nan")
         return float(value)
 
+    def numbers(self, key: str, default: Sequence[float]) -> tuple[float, ...]:
+        """The list of numbers under `key`."""
+        values = self.values.get(key, list(default))
+        if not isinstance(values, list) or not all(_is(v, float) for v in values):
+            raise self.error(f"{key}: expected a list of numbers, got {values!r}")
+        return tuple(float(v) for v in values)
+
     def optional_number(self, key: str) -> float | None:
         """The number under `key`, None where there is none."""
         return self.number(key, math.inf) if key in self.values else None

@@ -6,17 +6,22 @@ are told to a new campaign, which must ask for the stored situations again, bit 
 
 import json
 import time
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from crashrate.errors import SimulationError, StoreError
+from crashrate.errors import NumericalError, SimulationError, StoreError
 from crashrate.estimation.campaign import Campaign
-from crashrate.estimation.estimate import Estimate
+from crashrate.estimation.estimate import Estimate, json_ready
 from crashrate.estimation.strategy import Problem
+from crashrate.events import EventTable
+from crashrate.recordings.check import Check
+from crashrate.recordings.comparison import Comparison
+from crashrate.runs.checking import REPLAY_CALLS, check_recordings
 from crashrate.runs.configuration import (
     SOURCE,
     VOUCHED,
@@ -53,7 +58,10 @@ def run(
     max_calls: int | None = None,
     batch_size: int = Problem.batch_size,
     same_vehicle: bool = False,
+    events: EventTable | None = None,
+    replay_calls: int = REPLAY_CALLS,
     on_progress: Callable[[Campaign], None] | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Estimate:
     """Run a scenario in traffic, in a folder that a later call continues.
 
@@ -73,8 +81,14 @@ def run(
         Target and budget; the scenario's where not given.
     same_vehicle : bool
         Whether the stored outcomes count although the simulator's source was edited since.
+    events : EventTable, optional
+        That the traffic model was fitted to: replayed at the end, and compared with the model.
+    replay_calls : int
+        Most simulator runs that the replay may take, beside the campaign's budget.
     on_progress : callable, optional
         Called with the campaign after every batch.
+    say : callable, optional
+        Told what is done after the campaign.
 
     Returns
     -------
@@ -107,7 +121,12 @@ def run(
     config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
     with _store(directory, config, campaign.problem, same_vehicle=same_vehicle) as store:
         sitting = _Sitting(directory, scenario, campaign, simulate, store, on_progress or _ignore)
-        return _go_on(sitting, _replay(sitting))
+        estimate = _go_on(sitting, _replay(sitting))
+        belief = campaign.snapshot.belief
+        if events is None or belief is None:
+            return estimate
+        comparison = Comparison(events, traffic, belief, scenario.severity, seed)
+        return _checked(sitting, estimate, comparison, replay_calls, say or _say_nothing)
 
 
 def status(directory: str | Path) -> dict[str, Any]:
@@ -193,6 +212,34 @@ class _Sitting:
         self.on_progress(self.campaign)
 
 
+def _checked(
+    sitting: _Sitting,
+    estimate: Estimate,
+    comparison: Comparison,
+    max_calls: int,
+    say: Callable[[str], None],
+) -> Estimate:
+    """The estimate with the alarms that the recordings raise; the result written again."""
+    from threadpoolctl import threadpool_limits
+
+    confidence = sitting.campaign.problem.confidence
+    try:
+        with threadpool_limits(limits=1):
+            found = check_recordings(
+                sitting, comparison, max_calls=max_calls, confidence=confidence, say=say
+            )
+    except (NumericalError, np.linalg.LinAlgError) as error:  # the answer stands without it
+        warnings.warn(f"the recordings could not be compared: {error}", stacklevel=2)
+        return estimate
+    estimate = replace(estimate, alarms=(*estimate.alarms, *found.alarms(estimate)))
+    _write(sitting, estimate, found)
+    return estimate
+
+
+def _say_nothing(_: str) -> None:
+    """Nobody listens."""
+
+
 def _ignore(_: Campaign) -> None:
     """Nobody watches."""
 
@@ -259,8 +306,11 @@ def _go_on(sitting: _Sitting, k: int) -> Estimate:
     return estimate
 
 
-def _write(sitting: _Sitting, estimate: Estimate) -> None:
+def _write(sitting: _Sitting, estimate: Estimate, found: Check | None = None) -> None:
     result = result_dict(estimate, sitting.scenario, sitting.campaign.problem)
+    if found is not None:
+        sentences = {"sentences": found.sentences(estimate)}
+        result["recordings"] = json_ready(found.to_dict()) | sentences
     if text := sitting.store.config().get(VOUCHED):
         result["vouched_sources"] = json.loads(text)
     write_result(sitting.directory, result)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from crashrate.errors import ScenarioError
 from crashrate.expressions import Expression
+from crashrate.recordings.severity import Severity
 from crashrate.runs import sections
 from crashrate.runs.keys import Table
 from crashrate.variables import Direction, Variable
@@ -17,7 +18,9 @@ from crashrate.variables import Direction, Variable
 if TYPE_CHECKING:
     from crashrate.runs.vehicle import Simulate
 
-SECTIONS = ("variables", "derived", "risk", "simulator", "target", "events", "outcome")
+SECTIONS = (
+    "variables", "derived", "risk", "simulator", "target", "events", "severity", "outcome",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class Scenario:
     simulator_choice : sections.SimulatorChoice
     target : sections.Target
     events : sections.EventColumns
+    severity : Severity or None
+        How a recorded event is made worse, to compare the tails of recordings and model.
     outcome : sections.Outcome
     text : str
         The file, as it was read.
@@ -52,6 +57,7 @@ class Scenario:
     simulator_choice: sections.SimulatorChoice
     target: sections.Target
     events: sections.EventColumns
+    severity: Severity | None
     outcome: sections.Outcome
     text: str = field(repr=False)
     directory: Path | None = field(default=None, repr=False)
@@ -95,6 +101,7 @@ class Scenario:
         variables = sections.read_variables(root.table("variables"))
         names = tuple(v.name for v in variables)
         derived = sections.read_derived(root.table("derived"), names)
+        events = sections.read_events(root.table("events"), names)
         return cls(
             name=name,
             variables=variables,
@@ -102,7 +109,8 @@ class Scenario:
             risk=sections.read_risk(root, (*names, *derived)),
             simulator_choice=sections.read_simulator(root.table("simulator")),
             target=sections.read_target(root.table("target")),
-            events=sections.read_events(root.table("events"), names),
+            events=events,
+            severity=sections.read_severity(root, names, events.closing),
             outcome=sections.read_outcome(root.table("outcome")),
             text=text,
             directory=directory,

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from crashrate.errors import InvalidInputError, ScenarioError
 from crashrate.estimation.strategy import Problem
 from crashrate.expressions import Expression
+from crashrate.recordings.severity import FACTOR, LEVELS, Severity
 from crashrate.runs.keys import Table
 from crashrate.variables import Direction, Scale, Variable, nearest
 
@@ -209,6 +210,24 @@ def _column(columns: Table, name: str) -> str:
     except InvalidInputError as error:
         raise ScenarioError(f"{columns.where}, {name}: {error}") from error
     return text
+
+
+def read_severity(root: Table, names: tuple[str, ...], closing: str | None) -> Severity | None:
+    """How a recorded event is made worse; by default its closing is multiplied."""
+    if "severity" not in root.values:
+        return None if closing is None else Severity.multiplying(closing, names)
+    section = root.table("severity").only((*names, "levels"), "variable")
+    levels = tuple(section.numbers("levels", LEVELS))
+    known = (*names, FACTOR)
+    try:
+        changed = {
+            name: Expression(section.text(name), known)
+            for name in section.values
+            if name != "levels"
+        }
+        return Severity(names, MappingProxyType(changed), levels)
+    except InvalidInputError as error:
+        raise ScenarioError(f"{section.where}: {error}") from error
 
 
 def read_outcome(section: Table) -> Outcome:

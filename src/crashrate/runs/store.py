@@ -1,5 +1,6 @@
 """The store: everything a run is made of, in one SQLite file that is only ever added to."""
 
+import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +24,8 @@ CREATE TABLE batches (
     outcomes BLOB NOT NULL
 );
 """
+# of recorded events, beside the campaign: a folder from before this table gets it when it is needed
+REPLAYS = "CREATE TABLE IF NOT EXISTS replays (x BLOB PRIMARY KEY, outcome REAL)"
 READING = "DEFERRED"  # a transaction that only reads: also of a folder that cannot be written
 FLOAT = np.dtype("<f8")  # little-endian on every machine
 
@@ -148,15 +151,31 @@ class RunStore:
         StoreError
             If there is a batch `k` already: another process writes to this folder.
         """
-        row = (k, len(batch.x), _blob(batch.x), _blob(batch.outcomes))
+        row = (k, len(batch.x), blob(batch.x), blob(batch.outcomes))
         with self._transaction() as connection:
             connection.execute("INSERT INTO batches VALUES (?, ?, ?, ?)", row)
 
     def extend(self, k: int, batch: Batch) -> None:
         """Write batch `k` again, with more rows after those it has: the budget had cut it short."""
-        row = (len(batch.x), _blob(batch.x), _blob(batch.outcomes), k)
+        row = (len(batch.x), blob(batch.x), blob(batch.outcomes), k)
         with self._transaction() as connection:
             connection.execute("UPDATE batches SET n = ?, x = ?, outcomes = ? WHERE k = ?", row)
+
+    def replays(self) -> dict[bytes, float]:
+        """Outcomes of the recorded events that were simulated, by the bytes of the situation."""
+        with self._transaction() as connection:
+            connection.execute(REPLAYS)
+            rows = connection.execute("SELECT x, outcome FROM replays").fetchall()
+        return {x: math.nan if outcome is None else outcome for x, outcome in rows}
+
+    def add_replays(self, batch: Batch) -> None:
+        """Write the outcomes of recorded events."""
+        rows = [
+            (blob(x), None if math.isnan(y) else float(y))
+            for x, y in zip(batch.x, batch.outcomes, strict=True)
+        ]
+        with self._transaction() as connection:
+            connection.executemany("INSERT OR REPLACE INTO replays VALUES (?, ?)", rows)
 
     def close(self) -> None:
         """Close the file."""
@@ -217,7 +236,8 @@ def _connect(directory: Path, mode: str) -> sqlite3.Connection:
         raise StoreError(f"{path}: expected a file to read and write, got: {error}.") from error
 
 
-def _blob(values: FloatArray) -> bytes:
+def blob(values: FloatArray) -> bytes:
+    """The bytes of an array, the same on every machine."""
     return np.ascontiguousarray(values, dtype=FLOAT).tobytes()
 
 

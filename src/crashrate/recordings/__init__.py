@@ -1,0 +1,1 @@
+"""What the recorded events themselves say about the answer: replay, tail checks, influence."""

@@ -1,0 +1,121 @@
+"""Near misses: how often recorded events come close, against what the traffic model expects."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from crashrate.variables import FloatArray
+
+RANKS = (10, 100, 1000)
+N_POINTS = 60  # of the quantile plot
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that says how near an event is to a crash.
+
+    Parameters
+    ----------
+    name, unit : str
+    of : callable
+        Situations x (n, d) to values (n,).
+    sign : float
+        +1 where a larger value is more dangerous, else -1.
+    """
+
+    name: str
+    unit: str
+    of: Callable[[FloatArray], FloatArray]
+    sign: float
+
+
+@dataclass(frozen=True)
+class Tail:
+    """The dangerous tail of one quantity, in recordings and model.
+
+    Parameters
+    ----------
+    name, unit : str
+    sign : float
+        +1 where larger is more dangerous.
+    ranks : tuple of int
+        Numbers of recorded events at least as dangerous as a level.
+    levels : tuple of float
+        The level of each rank.
+    expected : tuple of float
+        Events beyond it that the model expects among as many.
+    low, high : tuple of float
+        Where the expected number lies in 95 % of recordings, if the model is right.
+    observed_quantiles, model_quantiles : tuple of float
+        The most dangerous recorded values, and the model's at the same share of events.
+    """
+
+    name: str
+    unit: str
+    sign: float
+    ranks: tuple[int, ...]
+    levels: tuple[float, ...]
+    expected: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    observed_quantiles: tuple[float, ...]
+    model_quantiles: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON-ready values."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "Tail":
+        """What `to_dict` wrote."""
+        read: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+        }
+        return cls(**read)
+
+
+def tail_of(quantity: Quantity, events: FloatArray, draws: FloatArray) -> Tail:
+    """Compare the dangerous tails of recorded events x (n, d) and of a model's draws (m, d)."""
+    seen = np.sort(quantity.sign * quantity.of(events))[::-1]
+    drawn = np.sort(quantity.sign * quantity.of(draws))[::-1]
+    ranks = [rank for rank in RANKS if rank <= len(events) // 10]
+    levels = [float(seen[rank - 1]) for rank in ranks]
+    beyond = [np.searchsorted(-drawn, -level, side="right") for level in levels]
+    every = len(events) / len(drawn)
+    low, high = (
+        tuple(float(gammaincinv(rank, q)) for rank in ranks)
+        for q in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
+    )
+    return Tail(
+        quantity.name,
+        quantity.unit,
+        quantity.sign,
+        tuple(ranks),
+        tuple(quantity.sign * level for level in levels),
+        tuple(float(b) * every for b in beyond),
+        low,
+        high,
+        *_quantiles(quantity.sign, seen, drawn),
+    )
+
+
+def _quantiles(
+    sign: float, seen: FloatArray, drawn: FloatArray
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The observed values at log-spaced ranks, and the model's at the same shares."""
+    n = len(seen)
+    top = max(min(1000, n // 10), 1)
+    ranks = np.unique(np.geomspace(1, top, N_POINTS).round().astype(int))
+    there = np.minimum((ranks - 0.5) / n * len(drawn), len(drawn) - 1).astype(int)
+    return tuple((sign * seen[ranks - 1]).tolist()), tuple((sign * drawn[there]).tolist())
+
+
+def tails(
+    quantities: Sequence[Quantity], events: FloatArray, draws: FloatArray
+) -> tuple[Tail, ...]:
+    """The tails of all quantities, those that do not vary left out."""
+    return tuple(tail_of(q, events, draws) for q in quantities if np.ptp(q.of(events)) > 0)

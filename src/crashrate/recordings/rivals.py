@@ -1,0 +1,57 @@
+"""Other laws of traffic beside the joint model, with the same checks."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crashrate.recordings.comparison import Comparison
+from crashrate.recordings.ladder import Ladder, ladder
+from crashrate.traffic.alternatives import CopulaLaw
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """What another law makes of the same events and the same crash set.
+
+    Parameters
+    ----------
+    name : str
+    bic : float
+        Bayesian information criterion, in units of the data, as of the joint model.
+    probability, standard_error : float
+        Of a crash, by what the campaign learned; the error is that of the draws alone.
+    ladder : Ladder
+        One level where no severity is declared.
+    """
+
+    name: str
+    bic: float
+    probability: float
+    standard_error: float
+    ladder: Ladder
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON-ready values."""
+        return vars(self) | {"ladder": self.ladder.to_dict()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "Rival":
+        """What `to_dict` wrote."""
+        return cls(**{**values, "ladder": Ladder.from_dict(values["ladder"])})
+
+
+def rival(c: Comparison, law: CopulaLaw, stream: int) -> Rival:
+    """A law, fitted to the events of a comparison, beside them; random streams from `stream` on."""
+    log_likelihood = float(law.log_density(c.z).sum() + c.traffic.scales.log_jacobian(c.z).sum())
+    draws = c.draws(law, stream)
+    masses = draws.probabilities
+    return Rival(
+        law.name,
+        -2 * log_likelihood + math.log(len(c.z)) * law.n_parameters,
+        float(masses[0]),
+        float(draws.standard_errors[0]),
+        ladder(c.levels, c.first, masses, np.empty((0, len(c.levels))), c.rng(stream + 1)),
+    )

@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+
+from crashrate.recordings.near_misses import Quantity, Tail, tail_of, tails
+
+A = Quantity("a", "m", lambda x: x[:, 0], 1.0)
+MINUS_A = Quantity("-a", "m", lambda x: -x[:, 0], -1.0)
+
+
+def found(seed, deviation=1.0, quantity=A, n=20_000):
+    rng = np.random.default_rng(seed)
+    return tail_of(quantity, rng.normal(size=(n, 1)), deviation * rng.normal(size=(10 * n, 1)))
+
+
+def inside(tail):
+    return [
+        low <= e <= high for low, e, high in zip(tail.low, tail.expected, tail.high, strict=True)
+    ]
+
+
+def test_right_model_expects_what_is_seen():
+    assert np.mean([inside(found(seed)) for seed in range(40)]) > 0.88  # of 95 %, draws' noise in
+
+
+def test_tail_too_light_is_seen():
+    assert np.mean([inside(found(seed, 0.9))[1] for seed in range(10)]) < 0.2
+
+
+def test_the_dangerous_side_may_be_the_small_one():
+    up, down = found(1), found(1, quantity=MINUS_A)
+    assert down.levels == tuple(-level for level in up.levels)
+    assert down.expected == up.expected
+    assert down.observed_quantiles == tuple(-q for q in up.observed_quantiles)
+
+
+def test_ranks_are_those_that_the_events_can_tell():
+    tail = found(1, n=2000)
+    assert tail.ranks == (10, 100)
+    assert list(tail.observed_quantiles) == sorted(tail.observed_quantiles, reverse=True)
+    assert tail.model_quantiles[10] == pytest.approx(tail.observed_quantiles[10], rel=0.2)
+
+
+def test_a_quantity_that_does_not_vary_is_left_out():
+    still = Quantity("c", "", lambda x: np.zeros(len(x)), 1.0)
+    x = np.random.default_rng(0).normal(size=(1000, 1))
+    assert [t.name for t in tails((still, A), x, x)] == ["a"]
+
+
+def test_survives_a_file():
+    tail = found(0)
+    assert Tail.from_dict(tail.to_dict()) == tail
