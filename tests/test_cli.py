@@ -169,13 +169,15 @@ def test_target_met_leaves_with_0_and_the_sentence(small, quick):
     del quick
     done = small_run(small, "--max-calls", "20")
     assert done.exit_code == 0
-    assert done.stdout.startswith("P(crash) = 2.5e-01 per lane change, 95 % interval [2.0e-01, ")
+    assert done.stdout.startswith(
+        "P(crash) = 2.5e-01 per lane change, 95 % Monte Carlo interval [2.0e-01, "
+    )
     assert len(done.stdout.splitlines()) == 1
     assert f"Alarm: {Alarm.WEIGHTS_CONCENTRATED}." in done.stderr
     assert "Stopped: the target was met." in done.stderr
     assert "ynthetic" not in done.output
     page = (small / "run" / "report.html").read_text()
-    assert "per lane change, 95 % interval" in page
+    assert "per lane change, 95 % Monte Carlo interval" in page
 
 
 def test_what_a_simulator_prints_is_not_the_answer(small, quick):  # noqa: ARG001

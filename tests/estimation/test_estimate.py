@@ -52,8 +52,8 @@ def test_a_wider_confidence_asks_for_more_crude_runs():
 
 def test_sentence():
     assert ANSWER.sentence() == (
-        "P(crash) = 2.0e-06 per lane change, 95 % interval [1.8e-06, 2.2e-06] (± 10 %); "
-        "100 simulator runs; crude Monte Carlo would need 190 million"
+        "P(crash) = 2.0e-06 per lane change, 95 % Monte Carlo interval [1.8e-06, 2.2e-06] "
+        "(± 10 %); 100 simulator runs; crude Monte Carlo would need 190 million"
     )
     assert "P(crash) has no estimate yet" in NOTHING.sentence()
     unseen = replace(NOTHING, probability=0.0, n_crashes=0)

@@ -48,7 +48,7 @@ class Page(HTMLParser):
 def test_the_page_says_the_numbers_of_the_result(build):
     page = Page(render_report(build()))
     for said in (
-        "P(crash) = 2.0 × 10⁻⁶ per lane change, 95 % interval [1.8 × 10⁻⁶, 2.2 × 10⁻⁶]",
+        "P(crash) = 2.0 × 10⁻⁶ per lane change, 95 % Monte Carlo interval [1.8 × 10⁻⁶, 2.2 × 10⁻⁶]",
         "200 simulator runs; crude Monte Carlo would need 190 million",
         "1.2 × 10⁻⁶ ≤ p ≤ 8.1 × 10⁻⁶",
         "about one in 510,000",

@@ -104,7 +104,7 @@ class Estimate:
         """The answer in one sentence."""
         low, high = self.interval
         return (
-            f"{self._head(event, per)}, {100 * self.confidence:g} % interval "
+            f"{self._head(event, per)}, {100 * self.confidence:g} % Monte Carlo interval "
             f"[{low:.1e}, {high:.1e}]{self._relative()}; "
             f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}{self._crude()}"
         )

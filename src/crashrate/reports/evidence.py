@@ -15,6 +15,7 @@ from crashrate.reports.numbers import (
     plain,
     power_of_ten,
 )
+from crashrate.reports.recordings import check_of
 from crashrate.runs.record import RunRecord
 
 
@@ -29,15 +30,20 @@ class Fact:
 
 def evidence(record: RunRecord, estimate: Estimate) -> tuple[Fact, ...]:
     """What the estimate rests on."""
-    return (*_answer(estimate), *_runs(estimate), *_quality(estimate), *_efficiency(estimate),
-            *_origin(record, estimate))  # fmt: skip
+    return (
+        *_answer(record, estimate),
+        *_runs(estimate),
+        *_quality(estimate),
+        *_efficiency(estimate),
+        *_origin(record, estimate),
+    )
 
 
 def _relative(e: Estimate) -> str:
     return f" (± {percent(e.relative_half_width)})" if is_number(e.relative_half_width) else ""
 
 
-def _answer(e: Estimate) -> tuple[Fact, ...]:
+def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
     has_bounds = e.bounds != (0.0, 1.0) and all(map(is_number, e.bounds))
     low, high = (power_of_ten(b) for b in e.bounds)
     return (
@@ -53,6 +59,7 @@ def _answer(e: Estimate) -> tuple[Fact, ...]:
             "this simulator.",
         ),
         *_traffic_range(e),
+        *_replay(record),
         Fact(
             "Bounds",
             f"{low} ≤ p ≤ {high}" if has_bounds else "none",
@@ -74,6 +81,22 @@ def _traffic_range(e: Estimate) -> tuple[Fact, ...]:
             else "not determined",
             f"5, 50 and 95 % of the probability under {len(found.probabilities)} fits that the "
             "events allow; the probability above is their mean.",
+        ),
+    )
+
+
+def _replay(record: RunRecord) -> tuple[Fact, ...]:
+    found = check_of(record)
+    if found is None:
+        return ()
+    replay = found.replay
+    crashes = f"{replay.n_crashes} crash{'' if replay.n_crashes == 1 else 'es'}"
+    return (
+        Fact(
+            "Replay",
+            f"{power_of_ten(replay.probability)} ({interval_text(replay.interval)})",
+            f"{crashes} among the {replay.n_events:,} events themselves: no traffic model, and "
+            f"{replay.n_simulated} more simulator runs.",
         ),
     )
 

@@ -12,6 +12,7 @@ from crashrate.reports.evidence import accelerates, evidence
 from crashrate.reports.likeliest import likeliest_crashes
 from crashrate.reports.numbers import interval_text, percent, power_of_ten
 from crashrate.reports.panel import Panel
+from crashrate.reports.recordings import check_of, sheets
 from crashrate.reports.results import estimate_of
 from crashrate.runs.record import RunRecord
 
@@ -73,6 +74,7 @@ def render_report(record: RunRecord) -> str:
         facts=evidence(record, estimate),
         panels=_panels(record, estimate),
         crashes=likeliest_crashes(record),
+        sheets=sheets(record),
         all_alarms=tuple(Alarm),
         plotly_js=get_plotlyjs(),
     )
@@ -125,15 +127,19 @@ def _effort(estimate: Estimate) -> str:
 
 
 def _panels(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:
+    from crashrate.reports.figures.answers import answers_panel
     from crashrate.reports.figures.bic import bic_panel
     from crashrate.reports.figures.convergence import estimate_panel, half_width_panel
     from crashrate.reports.figures.data import data_panel
+    from crashrate.reports.figures.tails import tail_panels
     from crashrate.reports.learned_panels import learned_panels
 
-    traffic = record.traffic
+    traffic, check = record.traffic, check_of(record)
     return (
+        answers_panel(estimate, check),
         data_panel(record),
         bic_panel(traffic.provenance, len(traffic.weights)),
+        *tail_panels(check),
         *learned_panels(record),
         estimate_panel(estimate),
         half_width_panel(estimate, _target(record)),

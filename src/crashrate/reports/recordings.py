@@ -1,0 +1,191 @@
+"""What the recordings say about the answer, as the tables of the report."""
+
+from dataclasses import dataclass, replace
+
+from crashrate.recordings.check import Check
+from crashrate.recordings.influential import Influential
+from crashrate.recordings.ladder import Ladder
+from crashrate.recordings.near_misses import Tail
+from crashrate.reports.axes import units_of, variable_axes
+from crashrate.reports.numbers import count, interval_text, percent, plain, power_of_ten
+from crashrate.runs.record import RunRecord
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One table: a title, what it says, headings and cells as they are shown.
+
+    Parameters
+    ----------
+    key, title, text : str
+    headings : tuple of str
+    rows : tuple of tuple of str
+        The first cell heads its row.
+    """
+
+    key: str
+    title: str
+    text: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def check_of(record: RunRecord) -> Check | None:
+    """What the run's recordings said; None where none were at hand."""
+    values = record.result.get("recordings")
+    if not values:
+        return None
+    found, units = Check.from_dict(values), units_of(record.scenario)
+    named = (replace(t, unit=t.unit or units.get(t.name, "")) for t in found.tails)
+    return replace(found, tails=tuple(named))
+
+
+def sheets(record: RunRecord) -> tuple[Sheet, ...]:
+    """The tables, those that there are."""
+    found = check_of(record)
+    if found is None:
+        return ()
+    parts = [_ways(record, found)]
+    if found.ladder is not None:
+        parts.append(_ladder(found.ladder))
+    if found.tails:
+        parts.append(_tails(found.tails))
+    if found.influential is not None:
+        parts.append(_influence(record, found, found.influential))
+    return tuple(parts)
+
+
+def _ways(record: RunRecord, c: Check) -> Sheet:
+    """Every way to the number, side by side."""
+    result, bic = record.result, record.traffic.provenance.get("bic")
+    low, high = result["interval"]
+    rows = [
+        ("This run", power_of_ten(result["probability"]), interval_text((low, high)),
+         count(bic), _deviance(c.ladder)),
+        ("Replay of the events", power_of_ten(c.replay.probability),
+         interval_text(c.replay.interval), "–", "–"),
+    ]  # fmt: skip
+    if c.extremes is not None:
+        e = c.extremes
+        rows.append(
+            ("Extreme-value theory", power_of_ten(e.probability), interval_text(e.interval),
+             "–", "–")
+        )  # fmt: skip
+    rows += [
+        (r.name[0].upper() + r.name[1:], power_of_ten(r.probability), "–", count(r.bic),
+         _deviance(r.ladder))
+        for r in c.rivals
+    ]  # fmt: skip
+    return Sheet(
+        "ways",
+        "Other ways to the same number",
+        _ways_text(c),
+        ("", "Probability", "95 % interval", "BIC", "Ladder"),
+        tuple(rows),
+    )
+
+
+def _ways_text(c: Check) -> str:
+    r = c.replay
+    text = (
+        f"Replay counts the {r.n_events:,} events themselves ({r.n_simulated} of them simulated, "
+        "the others settled by what the campaign learned)"
+    )
+    if r.crashing:
+        rows = ", ".join(str(row) for row in r.crashing[:20])
+        text += f"; row{'s' if len(r.crashing) > 1 else ''} {rows} crash"
+        text += "es" if len(r.crashing) == 1 else ""
+    if c.extremes is not None:
+        text += (
+            ". Extreme-value theory extrapolates the severity at which the "
+            f"{c.extremes.n_exceedances} worst events begin to crash (a generalised Pareto law, "
+            f"shape {c.extremes.shape:.2f}), and knows nothing of the joint model"
+        )
+    return (
+        text
+        + ". The laws below it are in use elsewhere and stand here for comparison only, fitted "
+        "to the same events. “Ladder” is the deviance of the severity ladder with its p-value: "
+        "a small p-value means that the law is refuted where crashes come from."
+    )
+
+
+def _deviance(ladder: Ladder | None) -> str:
+    if ladder is None or len(ladder.levels) < 2:
+        return "–"
+    return f"{ladder.deviance:,.1f} (p {_p_value(ladder.p_value)})"
+
+
+def _p_value(p: float) -> str:
+    return "< 0.001" if p < 0.001 else f"= {p:.2g}"
+
+
+def _ladder(ladder: Ladder) -> Sheet:
+    has_range = bool(ladder.low)
+    rows = []
+    for j, level in enumerate(ladder.levels):
+        between = (f"{plain(ladder.low[j], 3)} to {plain(ladder.high[j], 3)}",) * has_range
+        expected = plain(ladder.expected[j], 3)
+        rows.append((f"× {level:g}", count(ladder.observed[j]), expected, *between))
+    return Sheet(
+        "ladder",
+        "Severity ladder",
+        "The events made worse by a factor, level by level: how many would crash, by what the "
+        "campaign learned, and how many the traffic model expects among as many. The tail of the "
+        f"model is tested where crashes come from: deviance {ladder.deviance:,.1f} over "
+        f"{len(ladder.levels)} increments, p {_p_value(ladder.p_value)}.",
+        ("Severity", "Events that crash", "Expected", *("Fits, 5 to 95 %",) * has_range),
+        tuple(rows),
+    )
+
+
+def _tails(tails: tuple[Tail, ...]) -> Sheet:
+    rows = []
+    for tail in tails:
+        sides = zip(tail.ranks, tail.levels, tail.expected, tail.low, tail.high, strict=True)
+        for rank, level, expected, low, high in sides:
+            sign = "≥" if tail.sign > 0 else "≤"
+            what = f"{tail.name} {sign} {plain(level, 3)} {tail.unit}".rstrip()
+            odd = "" if low <= expected <= high else " (outside)"
+            rows.append(
+                (
+                    what,
+                    count(rank),
+                    plain(expected, 3) + odd,
+                    f"{plain(low, 3)} to {plain(high, 3)}",
+                )
+            )
+    return Sheet(
+        "near-misses",
+        "Near misses",
+        "How many events come at least as near to a crash as a level, and how many the traffic "
+        "model expects. The last column is where the expected number lies for 95 % of recordings "
+        "if the model is right.",
+        ("Level", "Events", "Expected", "95 % if right"),
+        tuple(rows),
+    )
+
+
+def _influence(record: RunRecord, c: Check, found: Influential) -> Sheet:
+    axes = variable_axes(record.scenario)
+    rows = tuple(
+        (str(e.row), *(plain(v, 4) for v in e.situation), f"{100 * e.change:+.1f} %",
+         percent(e.variance_share))
+        for e in found.events
+    )  # fmt: skip
+    flat = (
+        f" {found.n_flat} directions of the likelihood are flat: their part is unknown."
+        if found.n_flat
+        else ""
+    )
+    return Sheet(
+        "influence",
+        "The events that decide",
+        "By the infinitesimal jackknife of the best fit: what the probability would gain if an "
+        "event had been recorded twice. From the choice of events alone, at this number of "
+        f"components, the number is known to ± {percent(found.relative_error)} (one standard "
+        f"error); five events carry {percent(found.share_of_five)} of that variance. "
+        f"{c.n_duplicates:,} of the {c.replay.n_events:,} events equal an earlier one in every "
+        f"digit.{flat}",
+        ("Row", *(axis.label for axis in axes), "Change", "Share of variance"),
+        rows,
+    )

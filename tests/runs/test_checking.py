@@ -1,0 +1,123 @@
+"""A run with its recordings: replayed once, remembered, and compared; the answer never lost."""
+
+import json
+
+import numpy as np
+import pytest
+
+from crashrate.errors import NumericalError
+from crashrate.events import EventTable
+from crashrate.runs import runner
+from crashrate.runs.record import load_run
+from crashrate.runs.store import RunStore
+from crashrate.traffic.model import TrafficModel
+
+N = 3000
+
+
+@pytest.fixture
+def rare():
+    """Traffic in which the small vehicle crashes about once in 10,000 encounters."""
+    return TrafficModel(
+        [1.0], [[0.0, -1.6]], [np.diag([0.3, 0.3])], [0.0, -np.inf], [np.inf] * 2, ("a", "b")
+    )
+
+
+@pytest.fixture
+def events(rare):
+    return EventTable(("a", "b"), rare.sample(N, 5), "drawn", np.arange(N))
+
+
+@pytest.fixture
+def go(scenario, rare, events):
+    def go(directory, **changes):
+        settings = dict(seed=1, max_calls=200, events=events)
+        return runner.run(scenario, rare, directory, **(settings | changes))
+
+    return go
+
+
+def recordings(directory):
+    return json.loads((directory / "result.json").read_text())["recordings"]
+
+
+def test_recordings_are_replayed_and_in_the_result(go, tmp_path, vehicle, events):
+    said = []
+    estimate = go(tmp_path / "run", say=said.append)
+    found = recordings(tmp_path / "run")
+    truth = int((events.values.sum(axis=1) > 1.0).sum())
+    assert found["replay"]["n_crashes"] == truth
+    assert found["replay"]["n_open"] == 0
+    assert vehicle.n_runs == estimate.n_calls + found["replay"]["n_simulated"]
+    assert found["sentences"][0].startswith(f"replay: the {N:,} events themselves give ")
+    assert said[0] == "replaying the recordings"
+    assert len(found["influence"]["events"]) == 10
+    assert found["severity_ladder"] is None  # no variable closes in, and none is declared
+
+
+def test_a_finished_run_is_checked_again_without_a_simulator_run(go, tmp_path, vehicle):
+    go(tmp_path / "run")
+    before, n = recordings(tmp_path / "run"), vehicle.n_runs
+    go(tmp_path / "run")
+    assert vehicle.n_runs == n
+    assert recordings(tmp_path / "run") == before
+
+
+def test_replay_is_no_part_of_the_campaign(go, tmp_path, scenario, rare):
+    with_events = go(tmp_path / "with")
+    alone = runner.run(scenario, rare, tmp_path / "alone", seed=1, max_calls=200)
+    assert with_events.probability == alone.probability
+    assert "recordings" not in json.loads((tmp_path / "alone" / "result.json").read_text())
+    assert len(load_run(tmp_path / "with").x) == alone.n_calls
+
+
+def test_few_replays_leave_events_in_doubt(go, tmp_path):
+    go(tmp_path / "run", replay_calls=0)
+    replay = recordings(tmp_path / "run")["replay"]
+    assert replay["n_simulated"] == 0
+    assert replay["interval"][1] > 3 / N or replay["n_open"] == 0
+
+
+def test_failed_simulation_is_remembered_as_failed(go, tmp_path, vehicle, monkeypatch):
+    real = type(vehicle).__call__
+    counted = go(tmp_path / "probe").n_calls
+
+    def failing(self, x):
+        outcomes = np.asarray(real(self, x), float)
+        return outcomes if self.n_runs <= counted else np.full(len(x), np.nan)
+
+    vehicle.n_runs = 0
+    monkeypatch.setattr(type(vehicle), "__call__", failing)
+    go(tmp_path / "run")
+    replay = recordings(tmp_path / "run")["replay"]
+    assert replay["n_crashes"] == 0
+    assert replay["n_open"] == replay["n_simulated"] > 0
+    with RunStore.open(tmp_path / "run") as store:
+        assert all(np.isnan(y) for y in store.replays().values())
+
+
+def test_interrupted_replay_goes_on(go, tmp_path, vehicle):
+    calls = go(tmp_path / "probe").n_calls
+    batches = vehicle.n_batches
+    n_replays = recordings(tmp_path / "probe")["replay"]["n_simulated"]
+    vehicle.n_batches = vehicle.n_runs = 0
+    vehicle.trouble[batches] = RuntimeError("no licence")  # the last batch: of the replay
+    with pytest.raises(RuntimeError):
+        go(tmp_path / "run")
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["n_calls"] == calls
+    vehicle.trouble.clear()
+    go(tmp_path / "run")
+    assert vehicle.n_runs == calls + n_replays
+    assert recordings(tmp_path / "run") == recordings(tmp_path / "probe")
+
+
+def test_a_check_that_fails_does_not_lose_the_answer(go, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise NumericalError("the information is no matrix")
+
+    monkeypatch.setattr(runner, "check_recordings", fail)
+    with pytest.warns(UserWarning, match="could not be compared: the information"):
+        estimate = go(tmp_path / "run")
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["probability"] == (
+        estimate.probability
+    )
