@@ -25,6 +25,7 @@ from crashrate.variables import FloatArray
 # A mean this many standard deviations of the data outside the box is a component running away.
 _MAX_DRIFT = 200.0
 _PRIOR_GROWTH, _MAX_GROWTHS = 10.0, 4
+PRIOR_STRENGTH = 1.0
 _RIDGE = 1e-6  # of a standardised variance: the prior's covariance is never singular
 
 
@@ -106,7 +107,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         tol: float = 1e-7,
         max_iter: int = 1000,
         n_init: int = 1,
-        prior_strength: float = 1.0,
+        prior_strength: float = PRIOR_STRENGTH,
         weights_init: npt.ArrayLike | None = None,
         means_init: npt.ArrayLike | None = None,
         precisions_init: npt.ArrayLike | None = None,
@@ -304,6 +305,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
             "bic": self.bic_,
             "converged": self.converged_,
             "n_iter": self.n_iter_,
+            "promise": self.promise_,
             "prior_strength": self.prior_strength_,
         }
         lower, upper = self._sides
