@@ -133,15 +133,17 @@ def fit_tasks(
     """
     if workers is not None and workers < 1:
         raise InvalidInputError(f"workers: expected an integer >= 1, got {workers}.")
-    fits: list[Fitted | Failed] = []
+    fits: dict[int, Fitted | Failed] = {}
     report = on_step or _silent
     report(0, len(tasks), "fitting")
     processes = min(workers or worthwhile_workers(tasks, len(rows)), max(len(tasks), 1))
+    # the longest first: one that begins last would keep all other processes waiting
+    order = sorted(range(len(tasks)), key=lambda i: -tasks[i].n_components)
     with _mapped(processes, rows, parameters) as run:
-        for fit in run(tasks):
-            fits.append(fit)
+        for i, fit in zip(order, run([tasks[i] for i in order]), strict=True):
+            fits[i] = fit
             report(len(fits), len(tasks), _told(fit))
-    return fits
+    return [fits[i] for i in range(len(tasks))]
 
 
 def worthwhile_workers(tasks: Sequence[Task], n_events: int) -> int:
