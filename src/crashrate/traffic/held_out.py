@@ -59,8 +59,8 @@ def held_out_score(
         nan where the part that is left cannot be fitted.
     """
     # Warm: the second fit starts from the first. On 157,757 lane changes it ends where a cold one
-    # ends that climbs the same hill (to 1e-5 per event: nothing leaks), in a fifth of the time, and
-    # scores the hill that is being judged; a cold start may well climb another one.
+    # ends that climbs the same hill (to 1e-5 per event: next to nothing leaks), in a quarter of the
+    # time, and scores the hill that is being judged; a cold start may well climb another one.
     start = {
         "weights_init": model.weights,
         "means_init": model.means,

@@ -283,7 +283,10 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         self.log_likelihood_ = in_z + log_jacobian
         price = math.log(n)
         self.bic_ = -2.0 * self.log_likelihood_ + price * self._n_parameters()
-        self.model_ = self.traffic_model()
+        try:
+            self.model_ = self.traffic_model()
+        except InvalidInputError as error:  # the fit's doing, not the user's: no mass in the box
+            raise NumericalError(f"fit: no usable law came of it: {error}") from None
 
     def traffic_model(self, names: Sequence[str] | None = None) -> TrafficModel:
         """The fitted law as a frozen value.

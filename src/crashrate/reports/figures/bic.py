@@ -13,7 +13,7 @@ from crashrate.variables import FloatArray
 
 _KEY = "bic"
 _TITLE = "Number of mixture components"
-_FEW = 4  # this many of the best K show how high a plot has to be: far ones would squash them
+_FEW = 4  # ... or half, if that is more: the best K that set the axis; far ones would squash them
 _HEADROOM = 2.0
 
 
@@ -80,7 +80,7 @@ def _held_out_curves(selection: Mapping[str, Any]) -> list[_Curve]:
     points = medians(gains)
     low = np.min(gains, axis=1, where=there, initial=np.inf)
     high = np.max(gains, axis=1, where=there, initial=-np.inf)
-    what = f"held-out log likelihood per {PER_EVENTS} events"
+    what = f"held out, per {PER_EVENTS} events"
     best = int(np.nanargmax(points))
     return [_Curve(what, selection["n_components"], points, low, high, best, "highest")]
 
@@ -123,10 +123,11 @@ def _identified(admissible: Sequence[int]) -> str:
 
 
 def _view(curve: _Curve) -> tuple[float, float]:
-    """The range of the axis: the few best K and an ordinary bar, and as much again."""
+    """The range of the axis: the better half of K and an ordinary bar, and as much again."""
     sign = 1.0 if curve.best_word == "lowest" else -1.0
+    n_near = max(_FEW, len(curve.ks) // 2)
     there = np.flatnonzero(np.isfinite(curve.points))
-    near = there[np.argsort(sign * curve.points[there])[:_FEW]]
+    near = there[np.argsort(sign * curve.points[there])[:n_near]]
     bars = curve.high[near] - curve.low[near]
     reach = max(float(np.ptp(curve.points[near])), float(np.median(bars)))
     start, end = float(curve.low[near].min()), float(curve.high[near].max())
@@ -184,5 +185,5 @@ def _plot(curve: _Curve) -> Plot:
             xaxis=axis("number of components K", dtick=1 if len(ks) <= 20 else None),
             yaxis=axis(curve.what, tickformat=",", range=_view(curve)),
         ),
-        f"{curve.what} for K from {min(ks)} to {max(ks)}; {curve.best_word} at K = {k}.",
+        f"Line of {curve.what} for K from {min(ks)} to {max(ks)}; {curve.best_word} at K = {k}.",
     )
