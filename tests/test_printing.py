@@ -39,6 +39,14 @@ def test_without_restarts_or_held_out_events_there_are_no_such_columns(selection
     assert "eld out" not in shown
 
 
+def test_held_out_scores_that_are_missing_show_as_such(selection, capsys):
+    print_selection(selection | {"held_out": [[None, None]] * 3})
+    shown = capsys.readouterr()
+    assert shown.out.count("nan") == 6
+    assert "highest\n" not in shown.out.split("Held out:")[0]
+    assert shown.err == ""
+
+
 def test_numbers_whose_every_start_failed_are_told(selection, capsys):
     print_selection(selection | {"left_out": [4, 5]})
     assert "Warning: no fit with 4, 5 components: every start" in capsys.readouterr().err

@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     from crashrate.traffic.model import TrafficModel
 
+_ROUNDING = 1e-9
 UNFINISHED = "Not finished; the same `run` command goes on."
 
 
@@ -102,19 +103,17 @@ def _bic_column(selection: Mapping[str, Any]) -> list[str]:
 
 def _held_out_columns(selection: Mapping[str, Any]) -> list[list[str]]:
     """The gain on events not seen, median and spread over splits; none where it was not asked."""
-    import numpy as np
-
     from crashrate.traffic.held_out import held_out_gains, medians
 
     if not selection["held_out"]:
         return []
     gains = held_out_gains(selection["held_out"])
-    middle, several = medians(gains), gains.shape[1] > 1
+    several = gains.shape[1] > 1
     lines = ["    held out" + "  spread over splits" * several]
-    for median, splits in zip(middle, gains.tolist(), strict=True):
+    for median, splits in zip(medians(gains), gains.tolist(), strict=True):
         spread = f"{_range(splits):20.2f}" * several
-        mark = "highest" if median == np.nanmax(middle) else ""
-        lines.append(f"{median:12.2f}{spread}  {mark}")
+        mark = "highest" if abs(median) < _ROUNDING else ""  # the gains' scale says so
+        lines.append(f"{median:z12.2f}{spread}  {mark}")
     return [lines]
 
 

@@ -19,9 +19,10 @@ _HEADROOM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class _Curve:
-    """A quantity over K: its points, how far below and above them starts go, and the best one."""
+    """A quantity over K: its points, how low and high its starts go, and the best one."""
 
-    what: str
+    name: str
+    unit: str
     ks: Sequence[int]
     points: FloatArray
     low: FloatArray
@@ -68,7 +69,7 @@ def _bic_curve(selection: Mapping[str, Any]) -> _Curve:
     starts = np.array(selection.get("bic_restarts") or points[:, None], dtype=np.float64)
     best = int(points.argmin())
     high = np.nanmax(starts, axis=1)
-    return _Curve("BIC", selection["n_components"], points, points, high, best, "lowest")
+    return _Curve("BIC", "BIC", selection["n_components"], points, points, high, best, "lowest")
 
 
 def _held_out_curves(selection: Mapping[str, Any]) -> list[_Curve]:
@@ -80,9 +81,9 @@ def _held_out_curves(selection: Mapping[str, Any]) -> list[_Curve]:
     points = medians(gains)
     low = np.min(gains, axis=1, where=there, initial=np.inf)
     high = np.max(gains, axis=1, where=there, initial=-np.inf)
-    what = f"held out, per {PER_EVENTS} events"
+    name, unit = "held-out log likelihood", f"held out, per {PER_EVENTS} events"
     best = int(np.nanargmax(points))
-    return [_Curve(what, selection["n_components"], points, low, high, best, "highest")]
+    return [_Curve(name, unit, selection["n_components"], points, low, high, best, "highest")]
 
 
 def _caption(selection: Mapping[str, Any], curves: Sequence[_Curve], n_components: int) -> str:
@@ -157,8 +158,8 @@ def _plot(curve: _Curve) -> Plot:
         "mode": "lines+markers",
         "line": {"color": MUTED, "width": 1.5},
         "marker": {"color": MUTED, "size": 7},
-        "name": curve.what if curve.best_word == "lowest" else "held out",
-        "hovertemplate": "K = %{x}<br>%{y:,.1f}<extra></extra>",
+        "name": curve.name,
+        "hovertemplate": "K = %{x}<br>%{y:,.2f}<extra></extra>",
     }
     if _has_bars(curve):
         line["error_y"] = {
@@ -183,7 +184,7 @@ def _plot(curve: _Curve) -> Plot:
             [line, ringed],
             height=340,
             xaxis=axis("number of components K", dtick=1 if len(ks) <= 20 else None),
-            yaxis=axis(curve.what, tickformat=",", range=_view(curve)),
+            yaxis=axis(curve.unit, tickformat=",", range=_view(curve)),
         ),
-        f"Line of {curve.what} for K from {min(ks)} to {max(ks)}; {curve.best_word} at K = {k}.",
+        f"Line of {curve.name} for K from {min(ks)} to {max(ks)}; {curve.best_word} at K = {k}.",
     )
