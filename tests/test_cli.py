@@ -1,6 +1,5 @@
 import json
 import os
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,12 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from crashrate import cli, datasets
+from crashrate import datasets
 from crashrate.cli import app
+from crashrate.errors import InvalidInputError
 from crashrate.estimation import campaign
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.strategy import Query, Snapshot
 from crashrate.runs import demo
+from crashrate.runs.record import load_run
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
@@ -310,6 +311,8 @@ def test_stopped_by_a_signal_and_resumed_gives_the_same_bits(small, signal):
 
 # --- fit
 
+SHORT = ("--ensemble", "0", "--restarts", "1", "--workers", "1")
+
 
 @pytest.fixture
 def events(tmp_path):
@@ -320,9 +323,27 @@ def events(tmp_path):
     return path
 
 
+def test_fit_by_default_tries_four_starts_and_carries_forty_further_fits(
+    events, tmp_path, monkeypatch
+):
+    given = {}
+
+    def fit_traffic(*_, **options):
+        given.update(options)
+        raise InvalidInputError("enough")
+
+    monkeypatch.setattr("crashrate.runs.fitting.fit_traffic", fit_traffic)
+    crashrate("fit", events, "--scenario", HUANG, "--out", tmp_path / "t.json")
+    assert given["n_restarts"] == 4
+    assert given["n_members"] == 40
+    assert given["workers"] is None  # as many as are worth it
+
+
 def test_fit_prints_what_was_dropped_and_the_criterion(events, tmp_path):
     out = tmp_path / "traffic.json"
-    done = crashrate("fit", events, "--scenario", HUANG, "--components", "1:2", "--out", out)
+    done = crashrate(
+        "fit", events, "--scenario", HUANG, "--components", "1:2", "--out", out, *SHORT
+    )
     assert done.exit_code == 0
     assert "397 events of 400 rows; dropped: 3 not closing" in done.stdout
     assert done.stdout.count("lowest") == 1
@@ -330,11 +351,13 @@ def test_fit_prints_what_was_dropped_and_the_criterion(events, tmp_path):
     assert model.provenance["events"]["dropped"] == {"not closing": 3}
     assert model.provenance["events"]["synthetic"] is False
     assert model.provenance["selection"]["n_components"] == [1, 2]
+    assert np.shape(model.provenance["selection"]["held_out"]) == (2, 1)
+    assert model.members == ()
     assert model.names == ("v_lead", "inv_range", "inv_ttc")
 
 
 def test_fit_refuses_a_place_before_it_fits_and_makes_a_missing_folder(events, tmp_path):
-    command = ["fit", events, "--scenario", HUANG, "--components", "1", "--out"]
+    command = ["fit", events, "--scenario", HUANG, *SHORT, "--components", "1", "--out"]
     refused = crashrate(*command, tmp_path)
     assert refused.exit_code == 1
     assert "expected a file to write, found a folder" in error_line(refused)
@@ -342,7 +365,7 @@ def test_fit_refuses_a_place_before_it_fits_and_makes_a_missing_folder(events, t
 
 
 def test_fit_replaces_traffic_models_only(events, tmp_path):
-    command = ["fit", events, "--scenario", HUANG, "--components", "1", "--out"]
+    command = ["fit", events, "--scenario", HUANG, *SHORT, "--components", "1", "--out"]
     before = events.read_text()
     refused = crashrate(*command, events)
     assert refused.exit_code == 1
@@ -355,7 +378,7 @@ def test_fit_with_further_fits_keeps_them_and_tells_of_the_end_of_the_range(even
     out = tmp_path / "traffic.json"
     done = crashrate(
         "fit", events, "--scenario", HUANG, "--components", "1:2", "--ensemble", "3",
-        "--restarts", "2", "--out", out,
+        "--restarts", "2", "--workers", "1", "--out", out,
     )  # fmt: skip
     assert done.exit_code == 0
     assert "with 3 further fits" in done.stdout
@@ -367,19 +390,9 @@ def test_fit_with_further_fits_keeps_them_and_tells_of_the_end_of_the_range(even
     assert np.shape(model.provenance["selection"]["bic_restarts"]) == (2, 2)
 
 
-def test_numbers_that_the_criterion_does_not_tell_apart_are_named(capsys):
-    selection = {
-        "n_components": [1, 2, 3], "bic": [90.0, 12.0, 15.0],
-        "bic_restarts": [[90.0, 91.0], [12.0, 20.0], [15.0, 15.5]], "admissible": [2, 3],
-    }  # fmt: skip
-    cli._print_selection(selection)
-    shown = capsys.readouterr().out
-    assert "not identified: BIC does not tell 2, 3 apart" in shown
-    assert re.search(r"2 +12\.0 +8\.0  lowest", shown)
-
-
 def test_fit_tells_of_too_few_events(events, tmp_path):
-    command = ["fit", events, "--scenario", HUANG, "--out", tmp_path / "t.json", "--components"]
+    command = ["fit", events, "--scenario", HUANG, *SHORT]
+    command += ["--out", tmp_path / "t.json", "--components"]
     refused = crashrate(*command, "500")
     assert refused.exit_code == 1
     assert f"{events}: 397 events cannot hold 500 components" in error_line(refused)
@@ -390,7 +403,9 @@ def test_fit_tells_of_too_few_events(events, tmp_path):
 
 def test_fit_of_the_recommended_cut_in_reads_the_same_file(events, tmp_path):
     out, scenario = tmp_path / "traffic.json", ROOT / "examples" / "cut_in.toml"
-    done = crashrate("fit", events, "--scenario", scenario, "--components", "1", "--out", out)
+    done = crashrate(
+        "fit", events, "--scenario", scenario, "--components", "1", "--out", out, *SHORT
+    )
     assert done.exit_code == 0
     assert "BIC" not in done.stdout
     assert TrafficModel.from_json(out).names == ("v_lead", "inv_range", "closing_speed")
@@ -399,7 +414,8 @@ def test_fit_of_the_recommended_cut_in_reads_the_same_file(events, tmp_path):
 def test_fit_refuses_bad_rows_unless_told_to_drop_them(events, tmp_path):
     with events.open("a") as file:
         file.write("99,0.02,0.1\n")
-    command = ["fit", events, "--scenario", HUANG, "--components", "1", "--out", tmp_path / "t"]
+    command = ["fit", events, "--scenario", HUANG, *SHORT]
+    command += ["--components", "1", "--out", tmp_path / "t"]
     refused = crashrate(*command)
     assert refused.exit_code == 1
     line = error_line(refused)
@@ -432,6 +448,14 @@ def test_demo_says_synthetic_wherever_its_events_appear(short_demo, tmp_path):
     assert "synthetic" in result["traffic"]["events"]["source"]
     assert result["seed"] == 2
     assert "synthetic" in (tmp_path / "demo" / "report.html").read_text()
+
+
+def test_demo_fits_once_in_one_process(short_demo, tmp_path):
+    del short_demo
+    crashrate("demo", "--out", tmp_path / "demo")
+    provenance = load_run(tmp_path / "demo").traffic.provenance
+    assert np.shape(provenance["selection"]["bic_restarts"]) == (1, 1)
+    assert provenance["selection"]["held_out"] == []
 
 
 def test_demo_again_gives_the_same_answer_from_the_store(short_demo, tmp_path):

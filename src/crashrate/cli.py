@@ -4,7 +4,6 @@ What a command needs is imported inside it, so that ``crashrate --help`` answers
 """
 
 import functools
-import json
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from crashrate.errors import CrashrateError, InvalidInputError
+from crashrate.printing import Format, print_fit, print_result, show_warning
 from crashrate.runs.progress import progress
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 ERROR, TARGET_NOT_MET, INTERRUPTED = 1, 3, 130
 REPORT = "report.html"
-UNFINISHED = "Not finished; the same `run` command goes on."
 
 app = typer.Typer(
     add_completion=False,
@@ -43,13 +42,6 @@ class Method(StrEnum):
 
     SEQUENTIAL = "sequential"
     HUANG2017 = "huang2017"
-
-
-class Format(StrEnum):
-    """What is printed on standard output."""
-
-    TEXT = "text"
-    JSON = "json"
 
 
 # --- arguments
@@ -127,7 +119,7 @@ def _command(*examples: str) -> Callable[[Command], Command]:
         @functools.wraps(function)
         def plainly(ctx: typer.Context, **arguments: Any) -> None:
             with warnings.catch_warnings(), _plain_errors(debug=ctx.obj):
-                warnings.showwarning = _show_warning
+                warnings.showwarning = show_warning
                 function(ctx, **arguments)
 
         app.command(epilog=_examples(*examples))(plainly)
@@ -161,14 +153,10 @@ def _message(error: Exception) -> str:
     return f"unexpected {kind}: {error}. Please report it, with what crashrate --debug … shows."
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    typer.echo(f"Warning: {message}", err=True)
-
-
 @_command(
     "crashrate fit events.parquet --scenario examples/huang2017.toml --components 9 --out t.json",
     "crashrate fit events.csv --scenario examples/cut_in.toml --components 1:15 --out t.json",
-    "crashrate fit events.csv --scenario examples/cut_in.toml --ensemble 40 --out t.json",
+    "crashrate fit events.csv --scenario examples/cut_in.toml --ensemble 0 --out t.json",
 )
 def fit(
     ctx: typer.Context,
@@ -188,11 +176,16 @@ def fit(
             min=0,
             help="Further fits, to re-weighted events, that say what the events leave open.",
         ),
-    ] = 0,
-    restarts: Annotated[int, typer.Option(min=1, help="Starts for each number of components.")] = 1,
+    ] = 40,
+    restarts: Annotated[int, typer.Option(min=1, help="Starts for each number of components.")] = 4,
     workers: Annotated[
-        int, typer.Option(min=1, help="Processes; the result does not depend on it.")
-    ] = 1,
+        int | None,
+        typer.Option(
+            min=1,
+            help="Processes; the result does not depend on it.",
+            show_default="the cores there are, at most 8; fewer for few events",
+        ),
+    ] = None,
     seed: Seed = 0,
     drop_invalid: Annotated[
         bool, typer.Option("--drop-invalid", help="Drop and count bad rows, do not refuse them.")
@@ -225,11 +218,12 @@ def fit(
     out.parent.mkdir(parents=True, exist_ok=True)
     recorded.write_events(out, table)
     model.to_json(out)
-    _print_selection(model.provenance["selection"])
+    print_fit(model)
     if warning := fitting.thin_data(len(table), model.n_components, model.n_variables):
-        _show_warning(warning)
+        show_warning(warning)
     names = ", ".join(model.names)
-    members = f", with {ensemble} further fits" if ensemble else ""
+    further = len(model.members) - 1  # the model is the first of its members
+    members = f", with {_runs(further, 'further fit')}" if further > 0 else ""
     typer.echo(f"{out}: {model.n_components} truncated normal components in {names}{members}")
 
 
@@ -307,7 +301,7 @@ def status(ctx: typer.Context, directory: RunFolder, output: OutputFormat = Form
     del ctx
     from crashrate.runs import runner
 
-    _print_result(runner.status(directory), output)
+    print_result(runner.status(directory), output)
 
 
 @_command("crashrate report runs/cut_in")
@@ -382,7 +376,7 @@ def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int
         taken = min(n_stored, estimate.n_calls)
         new = _runs(estimate.n_calls - taken, "new simulator run")
         typer.echo(f"{_runs(taken, 'outcome')} taken from {directory}, {new}.", err=True)
-    _print_result(runner.status(directory), output)  # first: a report that fails must not hide it
+    print_result(runner.status(directory), output)  # first: a report that fails must not hide it
     typer.echo(f"{directory / 'result.json'}, {_write_report(directory)}", err=True)
     codes = {"TARGET_MET": 0, "ALL_FAILED": ERROR}
     raise typer.Exit(codes.get(estimate.stop_reason.name, TARGET_NOT_MET))
@@ -393,52 +387,6 @@ def _write_report(directory: Path) -> Path:
     from crashrate.runs.record import load_run
 
     return write_report(load_run(directory), directory / REPORT)
-
-
-def _print_result(result: dict[str, Any], output: Format) -> None:
-    """The answer on standard output: one sentence, or the JSON; doubts beside it."""
-    if output is Format.JSON:
-        typer.echo(json.dumps(result, indent=2, ensure_ascii=False))
-        return
-    from crashrate.estimation.alarms import StopReason
-
-    typer.echo(result["sentence"])
-    if traffic_range := result.get("traffic_range"):
-        typer.echo(traffic_range["sentence"])
-    if recordings := result.get("recordings"):
-        for sentence in recordings["sentences"]:
-            typer.echo(sentence)
-    if result["synthetic"]:
-        typer.echo(
-            "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True
-        )
-    unfinished = result["stop_reason"] == StopReason.RUNNING.value
-    typer.echo(UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}.", err=True)
-    if result["stop_reason"] == StopReason.BUDGET_ENDED.value:
-        typer.echo("The same command with a larger --max-calls goes on from here.", err=True)
-    for alarm in result["alarms"]:
-        typer.echo(f"Alarm: {alarm['message']}.", err=True)
-
-
-def _print_selection(selection: dict[str, Any]) -> None:
-    rows = list(zip(selection["n_components"], selection["bic"], strict=True))
-    if len(rows) == 1:
-        return
-    best = min(bic for _, bic in rows)
-    spreads = [max(starts) - min(starts) for starts in selection["bic_restarts"]]
-    several = len(selection["bic_restarts"][0]) > 1
-    typer.echo("components           BIC" + "  spread over starts" * several)
-    for (n, bic), spread in zip(rows, spreads, strict=True):
-        shown = f"{spread:20.1f}" * several
-        typer.echo(f"{n:10d}  {bic:14.1f}{shown}{'  lowest' if bic == best else ''}")
-    if len(near := selection["admissible"]) > 1:
-        known = ", ".join(map(str, near))
-        typer.echo(f"The number of components is not identified: BIC does not tell {known} apart.")
-    if rows[-1][1] == best:
-        _show_warning(
-            f"BIC is lowest at {rows[-1][0]}, the most components that were tried: more may fit "
-            "better; raise the end of --components."
-        )
 
 
 def _runs(n: int, word: str) -> str:

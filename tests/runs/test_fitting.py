@@ -3,10 +3,11 @@ import hashlib
 import numpy as np
 import pytest
 
-from crashrate.errors import EventsError, InvalidInputError
+from crashrate.errors import EventsError, InvalidInputError, NumericalError
 from crashrate.events import EventTable
 from crashrate.runs import demo, fitting
 from crashrate.runs.scenario import Scenario
+from crashrate.traffic import ensemble
 from crashrate.traffic.model import TrafficModel
 
 
@@ -68,6 +69,24 @@ def test_equal_seeds_fit_equal_bits_and_survive_the_file(scenario, events, tmp_p
     assert TrafficModel.from_json(tmp_path / "traffic.json").to_json() == model.to_json()
     assert fitting.fit_traffic(scenario, events, (2,), seed=5, synthetic=True) == model
     assert model.provenance["events"]["synthetic"] is True
+
+
+def test_further_fits_that_fail_are_left_out_unless_all_do(scenario, events, monkeypatch):
+    real, n_sound = ensemble._fit, 1
+
+    def fit(task, rows, parameters):
+        if task.bootstrap is not None and not task.bootstrap % 2 < n_sound:
+            raise NumericalError("collapsed")
+        return real(task, rows, parameters)
+
+    monkeypatch.setattr(ensemble, "_fit", fit)
+    n_odd = sum(task.bootstrap % 2 for task in ensemble.member_tasks(6, (1,), 0))
+    with pytest.warns(UserWarning, match=f"{n_odd} of 6 further fits failed"):
+        model = fitting.fit_traffic(scenario, events, (1,), n_members=6)
+    assert len(model.members) == 1 + 6 - n_odd
+    n_sound = 0
+    with pytest.raises(NumericalError, match="every further fit failed"):
+        fitting.fit_traffic(scenario, events, (1,), n_members=2)
 
 
 def test_events_are_read_as_the_scenario_says(tmp_path):

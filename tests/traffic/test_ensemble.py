@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from crashrate.errors import InvalidInputError
+from crashrate.traffic import ensemble
 from crashrate.traffic.ensemble import (
     Task,
     event_weights,
@@ -88,6 +89,22 @@ def test_results_do_not_depend_on_the_number_of_workers(events):
     assert [f.bic for f in alone] == [f.bic for f in together]
     with pytest.raises(InvalidInputError, match="workers: expected an integer >= 1"):
         fit_tasks(tasks, events, BOX, workers=0)
+
+
+def test_processes_are_as_many_as_pay_for_their_start(monkeypatch):
+    tasks = [Task(k, 0) for k in range(1, 16)]
+    monkeypatch.setattr(ensemble, "available_cores", lambda: 64)
+    assert ensemble.worthwhile_workers(tasks, 157_757) == 8
+    assert ensemble.worthwhile_workers(tasks, 400) == 1
+    assert ensemble.worthwhile_workers([], 157_757) == 1
+    monkeypatch.setattr(ensemble, "available_cores", lambda: 2)
+    assert ensemble.worthwhile_workers(tasks, 157_757) == 2
+
+
+def test_few_events_start_no_process(events, monkeypatch):
+    monkeypatch.setattr(ensemble, "ProcessPoolExecutor", None)
+    assert len(fit_tasks([Task(1, 0), Task(1, 1)], events, BOX, workers=None)) == 2
+    assert len(fit_tasks([Task(1, 0)], events, BOX, workers=8)) == 1
 
 
 def test_a_task_without_bootstrap_is_the_plain_fit(events):

@@ -11,7 +11,7 @@ from sklearn.mixture import GaussianMixture
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from crashrate import datasets
-from crashrate.errors import InvalidInputError
+from crashrate.errors import InvalidInputError, NumericalError
 from crashrate.traffic.mixture import TruncatedGaussianMixture
 from crashrate.traffic.model import TrafficModel
 
@@ -277,3 +277,11 @@ def test_order_of_calls():
     fitted = TruncatedGaussianMixture().fit(np.random.default_rng(0).random((20, 2)))
     with pytest.raises(InvalidInputError, match="n_samples"):
         fitted.sample(0)
+
+
+def test_a_fit_with_no_mass_in_the_box_is_a_numerical_failure(monkeypatch):
+    """So that other starts go on: it is not the user's input that is wrong."""
+    monkeypatch.setattr("crashrate.traffic.model._MIN_LOG_MASS", 0.0)
+    x = np.random.default_rng(0).exponential(size=(50, 1))
+    with pytest.raises(NumericalError, match="component 0: expected some of its mass in the box"):
+        TruncatedGaussianMixture(1, lower=[0.0], random_state=0).fit(x)

@@ -4,16 +4,19 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crashrate.errors import InvalidInputError
+from crashrate.errors import InvalidInputError, NumericalError
 from crashrate.events import EventTable, read_events
 from crashrate.recordings.check import n_duplicates
 from crashrate.runs.recorded import digest
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
+
+if TYPE_CHECKING:
+    from crashrate.traffic.ensemble import Failed, Fitted
 
 AUTO = tuple(range(1, 16))
 EVENTS_PER_PARAMETER = 10
@@ -95,7 +98,7 @@ def fit_traffic(
     synthetic: bool = False,
     n_restarts: int = 1,
     n_members: int = 0,
-    workers: int = 1,
+    workers: int | None = 1,
     on_step: Callable[[int, int, str], None] | None = None,
 ) -> TrafficModel:
     """Fit a truncated mixture to events: the number of components with the lowest BIC.
@@ -116,8 +119,8 @@ def fit_traffic(
         Fits of each number of components, from different starts.
     n_members : int
         Fits of re-weighted events that the model carries as its members, beside itself.
-    workers : int
-        Processes; the result is the same whatever their number.
+    workers : int or None
+        Processes; the result is the same whatever their number. None for as many as are worth it.
     on_step : callable, optional
         As of `select_components`.
 
@@ -125,14 +128,14 @@ def fit_traffic(
     -------
     TrafficModel
         Its provenance holds "events" (source, counts and a sample for plots) and "selection" (the
-        criterion of every number tried).
+        criterion and the held-out log likelihood of every number tried).
 
     Raises
     ------
     InvalidInputError
         If there are fewer events than components.
     NumericalError
-        If a fit collapses.
+        If no fit comes to an end: every start collapses, or every fit of re-weighted events.
     """
     from threadpoolctl import threadpool_limits
 
@@ -161,13 +164,34 @@ def fit_traffic(
         if not n_members:
             return model
         tasks = member_tasks(n_members, selection.admissible, seed)
-        members = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=on_step)
-    if stuck := sum(not fit.converged for fit in members):
+        found = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=on_step)
+    return with_members(model, _members(found))
+
+
+def _members(found: "Sequence[Fitted | Failed]") -> "list[Fitted]":
+    """The further fits that came to an end; warns of the others.
+
+    Raises
+    ------
+    NumericalError
+        If there are none.
+    """
+    from crashrate.traffic.ensemble import Failed, Fitted
+
+    fits = [fit for fit in found if isinstance(fit, Fitted)]
+    failed = [fit for fit in found if isinstance(fit, Failed)]
+    if not fits:
+        raise NumericalError(f"every further fit failed; fit without them. {failed[0].reason}")
+    if failed:
         warnings.warn(
-            f"{stuck} of {n_members} further fits did not converge; they count as they are.",
-            stacklevel=2,
+            f"{len(failed)} of {len(found)} further fits failed, and are left out.", stacklevel=3
         )
-    return with_members(model, members)
+    if stuck := sum(not fit.converged for fit in fits):
+        warnings.warn(
+            f"{stuck} of {len(found)} further fits did not converge; they count as they are.",
+            stacklevel=3,
+        )
+    return fits
 
 
 def _origin(events: EventTable, synthetic: bool, seed: int) -> dict[str, Any]:

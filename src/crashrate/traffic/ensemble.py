@@ -6,7 +6,9 @@ Bayesian bootstrap, Rubin 1981), in the number of components among those admissi
 start.
 """
 
+import math
 import multiprocessing
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -18,11 +20,14 @@ import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
 from crashrate.errors import InvalidInputError, NumericalError
+from crashrate.traffic.held_out import held_out_score
 from crashrate.traffic.mixture import TruncatedGaussianMixture
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
 MAX_RETRIES = 3
+MAX_WORKERS = 8
+_WORK_OF_A_WORKER = 1_000_000  # events times components: some four seconds
 OnStep = Callable[[int, int, str], None]
 
 
@@ -37,22 +42,34 @@ class Task:
         Of the start.
     bootstrap : int or None
         Seed of the events' weights; None counts every event once.
+    held_out : int or None
+        Seed of the events to hold out from a second fit; None makes no second one.
     """
 
     n_components: int
     seed: int
     bootstrap: int | None = None
+    held_out: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """What one fit found: its law, and how well it fits."""
+    """What one fit found: its law, and how well it fits (`held_out`: events not seen, or nan)."""
 
     task: Task
     model: TrafficModel
     bic: float
     log_likelihood: float
     converged: bool
+    held_out: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A fit that came to nothing, and why."""
+
+    task: Task
+    reason: str
 
 
 def event_weights(n: int, seed: int) -> FloatArray:
@@ -61,14 +78,17 @@ def event_weights(n: int, seed: int) -> FloatArray:
     return np.asarray(weights * (n / weights.sum()))
 
 
-def fit_task(task: Task, rows: FloatArray, parameters: dict[str, Any]) -> Fitted:
+def fit_task(task: Task, rows: FloatArray, parameters: dict[str, Any]) -> Fitted | Failed:
     """Fit one task's mixture to events (n, d); a bootstrap fit that fails starts elsewhere."""
     for _ in range(0 if task.bootstrap is None else MAX_RETRIES):
         try:
             return _fit(task, rows, parameters)
         except NumericalError:
             task = replace(task, seed=task.seed + 1)
-    return _fit(task, rows, parameters)
+    try:
+        return _fit(task, rows, parameters)
+    except NumericalError as error:  # a value: the other fits shall not end with this one
+        return Failed(task, str(error))
 
 
 def _fit(task: Task, rows: FloatArray, parameters: dict[str, Any]) -> Fitted:
@@ -77,7 +97,11 @@ def _fit(task: Task, rows: FloatArray, parameters: dict[str, Any]) -> Fitted:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # `converged` says it
         mixture.fit_weighted(rows, weights)
-    return Fitted(task, mixture.model_, mixture.bic_, mixture.log_likelihood_, mixture.converged_)
+    model, seed = mixture.model_, task.held_out
+    score = math.nan if seed is None else held_out_score(model, rows, parameters, seed)
+    return Fitted(
+        task, model, mixture.bic_, mixture.log_likelihood_, mixture.converged_, held_out=score
+    )
 
 
 def fit_tasks(
@@ -85,9 +109,9 @@ def fit_tasks(
     rows: FloatArray,
     parameters: dict[str, Any],
     *,
-    workers: int = 1,
+    workers: int | None = 1,
     on_step: OnStep | None = None,
-) -> list[Fitted]:
+) -> list[Fitted | Failed]:
     """Fit every task, in `workers` processes; the results are the same whatever their number.
 
     Parameters
@@ -97,7 +121,8 @@ def fit_tasks(
         Events.
     parameters : dict
         Of :class:`TruncatedGaussianMixture`.
-    workers : int
+    workers : int or None
+        None for as many as are worth their start, at most `MAX_WORKERS` or the cores there are.
     on_step : callable, optional
         Called as ``on_step(done, total, message)`` before the first fit and after each.
 
@@ -106,23 +131,44 @@ def fit_tasks(
     InvalidInputError
         If `workers` is below 1, or as of :class:`TruncatedGaussianMixture`.
     """
-    if workers < 1:
+    if workers is not None and workers < 1:
         raise InvalidInputError(f"workers: expected an integer >= 1, got {workers}.")
-    fits: list[Fitted] = []
+    fits: dict[int, Fitted | Failed] = {}
     report = on_step or _silent
     report(0, len(tasks), "fitting")
-    with _mapped(workers, rows, parameters) as run:
-        for fit in run(tasks):
-            fits.append(fit)
-            report(len(fits), len(tasks), f"{fit.task.n_components} components: BIC {fit.bic:.1f}")
-    return fits
+    processes = min(workers or worthwhile_workers(tasks, len(rows)), max(len(tasks), 1))
+    # the longest first: one that begins last would keep all other processes waiting
+    order = sorted(range(len(tasks)), key=lambda i: -tasks[i].n_components)
+    with _mapped(processes, rows, parameters) as run:
+        for i, fit in zip(order, run([tasks[i] for i in order]), strict=True):
+            fits[i] = fit
+            report(len(fits), len(tasks), _told(fit))
+    return [fits[i] for i in range(len(tasks))]
+
+
+def worthwhile_workers(tasks: Sequence[Task], n_events: int) -> int:
+    """Processes whose start, about a second each, is little beside what they have to do."""
+    work = n_events * sum(task.n_components for task in tasks)
+    return max(1, min(available_cores(), MAX_WORKERS, work // _WORK_OF_A_WORKER))
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # not everywhere
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _told(fit: Fitted | Failed) -> str:
+    what = f"{fit.task.n_components} components"
+    return f"{what}: failed" if isinstance(fit, Failed) else f"{what}: BIC {fit.bic:.1f}"
 
 
 def _silent(done: int, total: int, message: str) -> None:
     """No progress wanted."""
 
 
-Run = Callable[[Sequence[Task]], Iterator[Fitted]]
+Run = Callable[[Sequence[Task]], Iterator[Fitted | Failed]]
 
 
 @contextmanager
@@ -145,7 +191,7 @@ def _remember(rows: FloatArray, parameters: dict[str, Any]) -> None:
     _REMEMBERED[:] = [(rows, parameters)]
 
 
-def _fit_remembered(task: Task) -> Fitted:
+def _fit_remembered(task: Task) -> Fitted | Failed:
     return fit_task(task, *_REMEMBERED[0])
 
 

@@ -25,6 +25,7 @@ from crashrate.variables import FloatArray
 # A mean this many standard deviations of the data outside the box is a component running away.
 _MAX_DRIFT = 200.0
 _PRIOR_GROWTH, _MAX_GROWTHS = 10.0, 4
+PRIOR_STRENGTH = 1.0
 _RIDGE = 1e-6  # of a standardised variance: the prior's covariance is never singular
 
 
@@ -106,7 +107,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         tol: float = 1e-7,
         max_iter: int = 1000,
         n_init: int = 1,
-        prior_strength: float = 1.0,
+        prior_strength: float = PRIOR_STRENGTH,
         weights_init: npt.ArrayLike | None = None,
         means_init: npt.ArrayLike | None = None,
         precisions_init: npt.ArrayLike | None = None,
@@ -282,7 +283,10 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         self.log_likelihood_ = in_z + log_jacobian
         price = math.log(n)
         self.bic_ = -2.0 * self.log_likelihood_ + price * self._n_parameters()
-        self.model_ = self.traffic_model()
+        try:
+            self.model_ = self.traffic_model()
+        except InvalidInputError as error:  # the fit's doing, not the user's: no mass in the box
+            raise NumericalError(f"fit: no usable law came of it: {error}") from None
 
     def traffic_model(self, names: Sequence[str] | None = None) -> TrafficModel:
         """The fitted law as a frozen value.
@@ -304,6 +308,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
             "bic": self.bic_,
             "converged": self.converged_,
             "n_iter": self.n_iter_,
+            "promise": self.promise_,
             "prior_strength": self.prior_strength_,
         }
         lower, upper = self._sides

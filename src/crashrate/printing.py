@@ -1,0 +1,146 @@
+"""What the commands print: answers and tables on standard output, doubts on standard error."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from crashrate.traffic.model import TrafficModel
+
+_ROUNDING = 1e-9
+UNFINISHED = "Not finished; the same `run` command goes on."
+
+
+class Format(StrEnum):
+    """What is printed on standard output."""
+
+    TEXT = "text"
+    JSON = "json"
+
+
+def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """A warning on standard error; takes what `warnings.showwarning` is given."""
+    typer.echo(f"Warning: {message}", err=True)
+
+
+def print_result(result: dict[str, Any], output: Format) -> None:
+    """The answer on standard output: one sentence, or the JSON; doubts beside it."""
+    if output is Format.JSON:
+        typer.echo(json.dumps(result, indent=2, ensure_ascii=False))
+        return
+    from crashrate.estimation.alarms import StopReason
+
+    typer.echo(result["sentence"])
+    if traffic_range := result.get("traffic_range"):
+        typer.echo(traffic_range["sentence"])
+    if recordings := result.get("recordings"):
+        for sentence in recordings["sentences"]:
+            typer.echo(sentence)
+    if result["synthetic"]:
+        typer.echo(
+            "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True
+        )
+    unfinished = result["stop_reason"] == StopReason.RUNNING.value
+    typer.echo(UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}.", err=True)
+    if result["stop_reason"] == StopReason.BUDGET_ENDED.value:
+        typer.echo("The same command with a larger --max-calls goes on from here.", err=True)
+    for alarm in result["alarms"]:
+        typer.echo(f"Alarm: {alarm['message']}.", err=True)
+
+
+def print_fit(model: "TrafficModel") -> None:
+    """How the number of components was chosen, and how sound the fit that was kept is."""
+    print_selection(model.provenance["selection"])
+    _print_kept(model)
+
+
+def print_selection(selection: Mapping[str, Any]) -> None:
+    """The table of the numbers of components that were tried; nothing where it was one.
+
+    Parameters
+    ----------
+    selection : mapping
+        Of a traffic model's provenance.
+    """
+    numbers, bic = selection["n_components"], selection["bic"]
+    if selection["left_out"]:
+        show_warning(f"no fit with {_listed(selection['left_out'])} components: every start failed")
+    if len(numbers) == 1:
+        return
+    columns = [_bic_column(selection), *_held_out_columns(selection)]
+    for n, *cells in zip(["components", *numbers], *columns, strict=True):
+        typer.echo(f"{n:>10}" + "".join(cells).rstrip())
+    if selection["held_out"]:
+        typer.echo(_HELD_OUT)
+    if len(near := selection["admissible"]) > 1:
+        typer.echo(
+            f"The number of components is not identified: BIC does not tell {_listed(near)} apart."
+        )
+    if bic[-1] == min(bic):
+        show_warning(
+            f"BIC is lowest at {numbers[-1]}, the most components that were tried: more may fit "
+            "better; raise the end of --components."
+        )
+
+
+_HELD_OUT = (
+    "Held out: log likelihood of a fifth of the events under a fit of the others, per 1000\n"
+    "events, below the highest; median over starts, each with a split of its own."
+)
+
+
+def _bic_column(selection: Mapping[str, Any]) -> list[str]:
+    """The criterion of the best starts, and how far the others are."""
+    several = len(selection["bic_restarts"][0]) > 1
+    lines = ["           BIC" + "  spread over starts" * several + " " * 8]
+    for bic, starts in zip(selection["bic"], selection["bic_restarts"], strict=True):
+        spread = f"{_range(starts):20.1f}" * several
+        mark = "lowest" if bic == min(selection["bic"]) else ""
+        lines.append(f"{bic:14.1f}{spread}  {mark:6}")
+    return lines
+
+
+def _held_out_columns(selection: Mapping[str, Any]) -> list[list[str]]:
+    """The gain on events not seen, median and spread over splits; none where it was not asked."""
+    from crashrate.traffic.held_out import held_out_gains, medians
+
+    if not selection["held_out"]:
+        return []
+    gains = held_out_gains(selection["held_out"])
+    several = gains.shape[1] > 1
+    lines = ["    held out" + "  spread over splits" * several]
+    for median, splits in zip(medians(gains), gains.tolist(), strict=True):
+        spread = f"{_range(splits):20.2f}" * several
+        mark = "highest" if abs(median) < _ROUNDING else ""  # the gains' scale says so
+        lines.append(f"{median:z12.2f}{spread}  {mark}")
+    return [lines]
+
+
+def _print_kept(model: "TrafficModel") -> None:
+    """One line on the fit that was kept; a warning where it needed more prior than it was given."""
+    from crashrate.traffic.mixture import PRIOR_STRENGTH
+
+    prior, promise = model.provenance["prior_strength"], model.provenance["promise"]
+    typer.echo(
+        f"Kept fit: smallest mass of a component in the box {model.component_masses.min():.1e}, "
+        f"prior strength {prior:g}, gain still promised {promise:.1e} per event."
+    )
+    if prior > PRIOR_STRENGTH:
+        show_warning(
+            f"the prior had to be raised from {PRIOR_STRENGTH:g} to {prior:g} events, for "
+            "components ran out of the box; give fewer --components."
+        )
+
+
+def _range(values: Iterable[float | None]) -> float:
+    """Largest less smallest of the numbers that are there."""
+    there = [x for x in values if x is not None and not math.isnan(x)]
+    return max(there) - min(there) if there else math.nan
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    return ", ".join(map(str, numbers))

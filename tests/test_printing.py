@@ -1,0 +1,73 @@
+"""What `fit` prints of a selection and of the fit that was kept."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crashrate.printing import print_fit, print_selection
+from crashrate.traffic.model import TrafficModel
+
+
+@pytest.fixture
+def selection():
+    return {
+        "n_components": [1, 2, 3], "bic": [90.0, 12.0, 15.0],
+        "bic_restarts": [[90.0, 91.0], [12.0, 20.0], [15.0, None]], "admissible": [2, 3],
+        "held_out": [[-3.0, -4.0], [-2.0, -2.9], [-2.001, -2.902]],
+        "n_failed": [0, 0, 1], "left_out": [],
+    }  # fmt: skip
+
+
+def test_numbers_that_the_criterion_does_not_tell_apart_are_named(selection, capsys):
+    print_selection(selection)
+    shown = capsys.readouterr().out
+    assert "not identified: BIC does not tell 2, 3 apart" in shown
+    assert re.search(r"1 +90\.0 +1\.0 +-1050\.00 +99\.00\n", shown)
+    assert re.search(r"2 +12\.0 +8\.0  lowest +0\.00 +1\.00  highest\n", shown)
+    assert re.search(r"3 +15\.0 +0\.0 +-1\.50 +0\.00\n", shown)
+    assert "per 1000" in shown
+    assert len({len(line) for line in shown.splitlines()[1:3]}) == 2
+
+
+def test_without_restarts_or_held_out_events_there_are_no_such_columns(selection, capsys):
+    bare = selection | {"bic_restarts": [[90.0], [12.0], [15.0]], "held_out": []}
+    print_selection(bare)
+    shown = capsys.readouterr().out
+    assert "spread" not in shown
+    assert "eld out" not in shown
+
+
+def test_held_out_scores_that_are_missing_show_as_such(selection, capsys):
+    print_selection(selection | {"held_out": [[None, None]] * 3})
+    shown = capsys.readouterr()
+    assert shown.out.count("nan") == 6
+    assert "highest\n" not in shown.out.split("Held out:")[0]
+    assert shown.err == ""
+
+
+def test_numbers_whose_every_start_failed_are_told(selection, capsys):
+    print_selection(selection | {"left_out": [4, 5]})
+    assert "Warning: no fit with 4, 5 components: every start" in capsys.readouterr().err
+
+
+def model(**provenance):
+    law = TrafficModel([1.0], [[0.0]], [[[1.0]]], [0.0], [np.inf], "a")
+    alone = {"n_components": [1], "bic": [1.0], "left_out": []}
+    return replace(law, provenance={"selection": alone, **provenance})
+
+
+def test_the_kept_fit_shows_its_masses_its_prior_and_its_convergence(capsys):
+    print_fit(model(prior_strength=1.0, promise=2.5e-8))
+    shown = capsys.readouterr()
+    assert shown.out == (
+        "Kept fit: smallest mass of a component in the box 5.0e-01, prior strength 1, "
+        "gain still promised 2.5e-08 per event.\n"
+    )
+    assert shown.err == ""
+
+
+def test_a_prior_that_had_to_be_raised_is_warned_of(capsys):
+    print_fit(model(prior_strength=100.0, promise=0.0))
+    assert "Warning: the prior had to be raised from 1 to 100 events" in capsys.readouterr().err
