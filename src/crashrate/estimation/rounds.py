@@ -74,13 +74,8 @@ class Round:
     member_variances: FloatArray = field(default_factory=_none)
 
 
-def measure(
-    view: View, drawn: Drawn, outcomes: FloatArray, ratios: FloatArray | None = None
-) -> Round:
-    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation.
-
-    `ratios` (N, M) are the densities of the traffic model's members over its own, at the pool.
-    """
+def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
+    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation."""
     rows, n = drawn.rows, len(drawn.rows)
     h = view.h[rows]
     factor = view.weights[rows] / drawn.probabilities[rows]
@@ -92,7 +87,7 @@ def measure(
     variance = max(variance, (CERTAIN * view.probability) ** 2, TINY)
     largest = float(np.abs(moved).max())
     members = member_variances = _none()
-    if ratios is not None:
+    if (ratios := view.pool.ratios) is not None:
         members, member_variances = _under_members(view, drawn, moved, ratios)
     return Round(
         n_runs=len(np.unique(rows)),

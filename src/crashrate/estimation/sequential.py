@@ -230,7 +230,8 @@ def _see(
     proposal: Density,
     rng: np.random.Generator,
 ) -> View:
-    pool = draw_pool(proposal, problem.traffic, state.labels.coordinates, N_POOL, rng)
+    coordinates = state.labels.coordinates
+    pool = draw_pool(proposal, problem.traffic, coordinates, N_POOL, rng, ensemble=problem.ensemble)
     return see(pool, state.labels, surrogate, state.model.standardise)
 
 
@@ -249,8 +250,7 @@ def _estimate(
     snapshot = replace(snapshot, phase="estimate")
     labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
     outcomes = labels.y[-len(rows) :][np.searchsorted(rows, drawn.rows)]
-    ratios = None if problem.ensemble is None else problem.ensemble.member_ratios(view.pool.x)
-    return labels, (*state.rounds, measure(view, drawn, outcomes, ratios))
+    return labels, (*state.rounds, measure(view, drawn, outcomes))
 
 
 def _simulate(

@@ -19,12 +19,9 @@ from crashrate.traffic.model_checks import (
     json_provenance,
 )
 from crashrate.traffic.model_json import from_document, to_document
+from crashrate.traffic.sampling import TruncatedNormals
 from crashrate.traffic.scales import Scales
-from crashrate.traffic.truncated_normal import (
-    box_moments,
-    log_box_probability,
-    sample_truncated,
-)
+from crashrate.traffic.truncated_normal import box_moments, log_box_probability
 from crashrate.variables import FloatArray, as_rows, frozen
 
 # A component that puts less than this in the box is a numerical accident, not a fit.
@@ -194,13 +191,13 @@ class TrafficModel:
     ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
         """Draws (n, d) grouped by component, and the component (n,) of each."""
         counts = rng.multinomial(n, self.weights)
-        parts = [
-            sample_truncated(mean, covariance, self._low, self._high, int(count), rng)
-            for mean, covariance, count in zip(self.means, self.covariances, counts, strict=True)
-            if count
-        ]
+        parts = [self._laws.sample(k, n_k, rng) for k, n_k in enumerate(counts.tolist()) if n_k]
         x = self.from_modelled(np.concatenate([np.empty((0, self.n_variables)), *parts]))
         return x, np.repeat(np.arange(self.n_components), counts)
+
+    @cached_property
+    def _laws(self) -> TruncatedNormals:
+        return TruncatedNormals.of(self.means, self.covariances, self._low, self._high)
 
     @cached_property
     def modelled(self) -> "TrafficModel":
@@ -229,15 +226,18 @@ class TrafficModel:
             members=(),
         )
 
-    def member_ratios(self, x: npt.ArrayLike) -> FloatArray:
-        """Density of each of the M members over that of the average, at rows x: (n, M)."""
-        rows = as_rows(x, self.n_variables)
+    def member_densities(self, x: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Log density (n,) of the average at rows x, and the members' ratios to it: (n, M)."""
+        rows, average = as_rows(x, self.n_variables), self.average
         starts = np.cumsum([0, *(member.n_components for member in self.members[:-1])])
-        average, out = self.average, np.empty((len(rows), len(self.members)))
+        log_density, ratios = np.empty(len(rows)), np.empty((len(rows), len(self.members)))
         for block in quadratic.blocks(len(rows)):
-            shares = average.component_probabilities(rows[block])
-            out[block] = np.add.reduceat(shares, starts, axis=1) * len(self.members)
-        return out
+            z = self._modelled_rows(rows[block])  # that of the average, on the same scales
+            terms = average._block_terms(z)  # noqa: SLF001 - a model too; becomes shares
+            log_density[block] = quadratic.log_sum(terms) + self.scales.log_jacobian(z)
+            ratios[block] = np.add.reduceat(terms, starts, axis=0).T * len(self.members)
+        log_density[~self.contains(rows)] = -np.inf
+        return log_density, ratios
 
     def from_modelled(self, z: FloatArray) -> FloatArray:
         """Situations x (n, d) of rows z (n, d): in the box where z is, rounding or not."""
