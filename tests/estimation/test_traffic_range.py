@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm
+from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.run import estimate
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.traffic.model import TrafficModel
@@ -128,6 +128,13 @@ def test_members_far_below_the_others_count_as_spread():
     assert TrafficRange((1e-6, 0.0), (1e-6, 1e-6)).undetermined  # nothing is known
 
 
-def test_methods_that_do_not_tell_members_apart_refuse_them():
-    with pytest.raises(InvalidInputError, match="expected 'sequential' for a traffic model with 4"):
-        found(0, method="huang2017")
+@pytest.mark.parametrize("scales", [None, ("log", "linear")])
+def test_methods_that_do_not_tell_members_apart_answer_for_the_best_fit(scales):
+    risk = {"a": "increasing", "b": "increasing"}
+    with pytest.warns(UserWarning, match="'huang2017' answers for the best fit alone: the 3 furth"):
+        campaign = Campaign(family(scales), risk=risk, method="huang2017")
+    alone = Campaign(member(SHIFTS[0], scales), risk=risk, method="huang2017")
+    assert campaign.problem == alone.problem
+    assert campaign.problem.ensemble is None
+    assert campaign.ask() == pytest.approx(alone.ask())
+    assert campaign.estimate().traffic_range is None
