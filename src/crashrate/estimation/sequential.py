@@ -13,11 +13,13 @@ import numpy as np
 
 from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
+from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.crude import crude
+from crashrate.estimation.direction import MAX_ROUNDS, Members, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
-from crashrate.estimation.exploration import INFLATION, N_RANKED, Explored, explore, inflated
+from crashrate.estimation.exploration import N_RANKED, Explored, explore
 from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -31,16 +33,11 @@ from crashrate.estimation.rounds import (
 from crashrate.estimation.selection import greedy, to_estimate, to_learn
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.view import Standardiser, View, see
-from crashrate.sampling.gaussians import fit_gaussians
-from crashrate.sampling.pool import Blend, Density, draw_pool
+from crashrate.sampling.pool import Density, draw_pool
 from crashrate.variables import FloatArray
 
 BEGINNING, ENCOUNTERS = 2_000_000, 2_000_001  # random streams beside those of the rounds
 N_POOL = 20_000
-N_COMPONENTS = 12
-N_FIT = 1000  # draws per aim that the pool's proposal is fitted to
-WIDEN = 1.3
-SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), inflated traffic
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
 # Beyond so many runs a wide interval is better than none. (Not a share of the budget: a run whose
@@ -117,6 +114,10 @@ class State:
         Number of the round.
     learning : bool
         Whether the last round was spent on learning.
+    members : tuple of int
+        Of the traffic model: those that the next round is directed at, if any.
+    n_directed : int
+        Rounds so far that were directed at members.
     """
 
     labels: Labels
@@ -129,6 +130,8 @@ class State:
     dropped_at: int | None = None
     k: int = 1
     learning: bool = True
+    members: Members = ()
+    n_directed: int = 0
 
     @property
     def ordered(self) -> bool:
@@ -160,12 +163,23 @@ def sequential(problem: Problem) -> Learner:
             continue
         state, view = yield from _round(problem, state, snapshot)
         snapshot = _snapshot(problem, state, view)
-        if snapshot.stop_reason is not StopReason.RUNNING:
+        state = _directed(problem, state, snapshot)
+        if snapshot.stop_reason is not StopReason.RUNNING and not state.members:
             break
+        snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     else:
         snapshot = replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
     exact = exact_bounds(problem, state.labels)
     return snapshot if exact is None else replace(snapshot, bounds=exact)
+
+
+def _directed(problem: Problem, state: State, snapshot: Snapshot) -> State:
+    """With the members that the next round looks at: after the target is met, a few times."""
+    whole = problem.max_calls - state.labels.n >= problem.batch_size  # cut, it would be no round
+    if snapshot.stop_reason is StopReason.RUNNING or not whole or state.n_directed == MAX_ROUNDS:
+        return replace(state, members=())
+    members = unclear(snapshot.traffic_range)
+    return replace(state, members=members, n_directed=state.n_directed + 1)
 
 
 def _begin(problem: Problem, explored: Explored) -> State:
@@ -198,11 +212,12 @@ def _round(
     rng = problem.rng(state.k)
     surrogate, model = _fit(state)
     proposal = state.proposal
-    for _ in range(2 if state.k == 1 else 0):  # the first proposal is only inflated traffic
-        proposal = _aim(problem, _see(problem, state, surrogate, proposal, rng), state, rng)
+    # the first proposal is only inflated traffic, and the last round's was not for these members
+    for _ in range(2 if state.k == 1 else bool(state.members)):
+        proposal = _aim(problem, state, _see(problem, state, surrogate, proposal, rng), rng)
     view = _see(problem, state, surrogate, proposal, rng)
     unsure = view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability
-    learning = bool(unsure) and state.may_learn
+    learning = bool(unsure) and state.may_learn and not state.members
     if learning:
         rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
@@ -216,7 +231,7 @@ def _round(
         labels=labels,
         rounds=rounds,
         model=replace(model, standardise=standardise),
-        proposal=_aim(problem, view, state, rng),
+        proposal=_aim(problem, state, view, rng),
         k=state.k + 1,
         learning=learning,
     )
@@ -235,13 +250,20 @@ def _see(
     return see(pool, state.labels, surrogate, state.model.standardise)
 
 
+def _aim(problem: Problem, state: State, view: View, rng: np.random.Generator) -> Density:
+    """Where the next pool is drawn: for the average, and for the members looked at."""
+    views = (view, towards(view, state.members)) if state.members else (view,)
+    return aim(problem.traffic, views, rng, ordered=state.ordered)
+
+
 def _estimate(
     problem: Problem, state: State, view: View, snapshot: Snapshot, rng: np.random.Generator
 ) -> Generator[Query, FloatArray, tuple[Labels, tuple[Round, ...]]]:
     """Runs drawn with known probabilities, and a few that settle much through the order."""
     n = problem.batch_size
-    aside = greedy(view, round(GREEDY_SHARE * n) if state.ordered else 0, rng)
-    drawn = to_estimate(view, n - len(aside), rng)
+    wanted = towards(view, state.members)
+    aside = greedy(wanted, round(GREEDY_SHARE * n) if state.ordered else 0, rng)
+    drawn = to_estimate(view, n - len(aside), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, aside]))
     room = problem.max_calls - state.labels.n
     if len(rows) > room:  # a cut batch is no unbiased round: its runs are spent on learning
@@ -286,17 +308,6 @@ def _prior(kernel: Kernel, state: State) -> Prior:
         return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
     # without an order no direction is riskier, and far from any crash is safe
     return Prior(bump, length, variance, linear=0.01, slope=0.0, constant=-4.0)
-
-
-def _aim(problem: Problem, view: View, state: State, rng: np.random.Generator) -> Density:
-    """Where the next pool is drawn: fitted to this one, with two defensive shares."""
-    aims = [view.target, view.learning]
-    if state.ordered and (undecided := view.weights * view.undecided).sum() > 0:
-        aims.append(undecided / undecided.sum())
-    rows = np.concatenate([rng.choice(len(view.h), N_FIT, p=p) for p in aims])
-    fitted = fit_gaussians(view.pool.x[rows], N_COMPONENTS, rng)
-    fitted = replace(fitted, covariances=fitted.covariances * WIDEN)
-    return Blend(SHARES, (fitted, problem.traffic, inflated(problem.traffic, (INFLATION,))))
 
 
 def _distrust(state: State, view: View) -> State:

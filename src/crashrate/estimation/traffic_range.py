@@ -35,6 +35,11 @@ class TrafficRange:
         return np.asarray((np.maximum(p, 0.0) / error) ** 2)
 
     @property
+    def upper(self) -> FloatArray:
+        """Probabilities (M,), at least 0, two standard errors up."""
+        return np.asarray(np.maximum(self.probabilities, 0.0) + 2 * np.array(self.standard_errors))
+
+    @property
     def determined(self) -> FloatArray:
         """Probabilities of the members that the runs determine."""
         return np.array(self.probabilities)[self.n_eff >= MIN_N_EFF]
@@ -65,8 +70,7 @@ class TrafficRange:
         found = self.determined
         if len(found) < 2:
             return math.nan
-        upper = np.maximum(self.probabilities, 0.0) + 2 * np.array(self.standard_errors)
-        low = upper[(self.n_eff < MIN_N_EFF) & (upper < np.median(found))]
+        low = self.upper[(self.n_eff < MIN_N_EFF) & (self.upper < np.median(found))]
         return float(np.log(np.concatenate([found, low])).std(ddof=1))
 
     @property
