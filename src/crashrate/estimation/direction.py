@@ -14,6 +14,7 @@ from crashrate.estimation.view import View
 # Each costs a batch of runs. In experiments with fits to recorded lane changes most members were
 # determined after one or two; what six have not determined, twenty did not either.
 MAX_ROUNDS = 6
+LEARNING_ROUNDS = 3  # the first ones, where the surrogate is unsure of the members' crashes
 # A member that cannot be above a hundredth of the median is left as it is: the range takes it by
 # its upper value, which already says "far below the others", and a sharper number would not change
 # what a reader makes of the range. Its crashes may be too far from any run to be worth the search.

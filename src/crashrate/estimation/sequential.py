@@ -16,7 +16,7 @@ from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.crude import crude
-from crashrate.estimation.direction import MAX_ROUNDS, Members, towards, unclear
+from crashrate.estimation.direction import LEARNING_ROUNDS, MAX_ROUNDS, Members, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import N_RANKED, Explored, explore
@@ -141,6 +141,8 @@ class State:
     @property
     def may_learn(self) -> bool:
         """Whether runs may still go into learning alone."""
+        if self.members:
+            return self.n_directed <= LEARNING_ROUNDS
         without_order = 0 if self.dropped_at is None else self.dropped_at + RELEARNING_RUNS
         return self.labels.n < max(LEARNING_RUNS, without_order)
 
@@ -216,10 +218,11 @@ def _round(
     for _ in range(2 if state.k == 1 else bool(state.members)):
         proposal = _aim(problem, state, _see(problem, state, surrogate, proposal, rng), rng)
     view = _see(problem, state, surrogate, proposal, rng)
-    unsure = view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability
-    learning = bool(unsure) and state.may_learn and not state.members
+    wanted = towards(view, state.members)
+    unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
+    learning = bool(unsure) and state.may_learn
     if learning:
-        rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
+        rows = to_learn(wanted, problem.batch_size, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
         rounds = state.rounds
