@@ -252,8 +252,9 @@ def _members(rounds: Sequence[Round], n_draws: int, least: float) -> TrafficRang
         return None
     names = ("estimates", "predicted", "variances", "squares")
     sums = Sums(*(np.array([getattr(s, name) for s in found]) for name in names))
-    known = np.median(sums.predicted[-LATEST:], axis=0)
-    share = _shares(sums.predicted * (sums.predicted >= MIN_PREDICTED * known), sums.variances)
+    known = MIN_PREDICTED * np.median(sums.predicted[-LATEST:], axis=0)
+    predicted = np.where(sums.predicted >= known, sums.predicted, np.nan)
+    share = _shares(predicted, sums.variances)
     got = _together(share, sums, n_draws)
     error = np.sqrt(np.maximum(got.inflation, least) * got.variance)
     return TrafficRange(tuple(got.center.tolist()), tuple(error.tolist()))
@@ -265,9 +266,9 @@ def not_refuted(rounds: Sequence[Round], predicted: float) -> list[Round]:
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:
-    """Shares (R, ...) of rounds, sums to one over the rounds."""
-    usual = np.median(predicted, axis=0)
-    weights = np.minimum(predicted, MAX_PREDICTED * usual) ** 2 / variance
+    """Shares (R, ...) of rounds, one in sum over them; none where nothing is predicted (NaN)."""
+    usual = np.nanmedian(predicted, axis=0)
+    weights = np.nan_to_num(np.minimum(predicted, MAX_PREDICTED * usual) ** 2 / variance)
     total = weights.sum(axis=0)
     return np.asarray(np.where(total > 0, weights / np.maximum(total, TINY), 1 / len(predicted)))
 

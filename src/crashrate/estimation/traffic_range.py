@@ -83,20 +83,26 @@ class TrafficRange:
         m = len(self.probabilities)
         low, middle, high = self.quantiles
         if math.isnan(middle):
-            return f"traffic models: {m} fits to the events, too few of them determined by the runs"
-        text = (
-            f"traffic models: {m} fits to the events give {low:.1e} … {middle:.1e} … {high:.1e} "
-            "(5, 50, 95 %)"
-        )
-        if self.n_undetermined:
-            text += f"; {self.n_undetermined} of them are not determined by the runs"
-        if self.undetermined:
-            factor = math.exp(1.645 * self.log_deviation)
-            text += (
-                f"; the events do not determine this number better than a factor {factor:.0f} "
-                "either way"
+            return (
+                f"traffic models: {m} fits to the recordings, too few of them determined by the "
+                "runs"
             )
-        return text
+        text = (
+            f"{m} fits to the recordings give {low:.1e} … {middle:.1e} … {high:.1e} (5, 50, 95 %)"
+        )
+        if n := self.n_undetermined:
+            text += f"; {n} of them {'is' if n == 1 else 'are'} not determined by the runs"
+        return f"traffic models: {self._verdict()}{text}"
+
+    def _verdict(self) -> str:
+        """What the range means, before its numbers: a reader in a hurry stops there."""
+        if not self.undetermined:
+            return ""
+        factor = math.exp(1.645 * self.log_deviation)
+        return (
+            "the recordings do not determine this number better than a factor "
+            f"{factor:.0f} either way: "
+        )
 
     def to_dict(self) -> dict[str, object]:
         """As JSON-ready values."""
