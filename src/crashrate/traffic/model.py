@@ -226,6 +226,10 @@ class TrafficModel:
             members=(),
         )
 
+    def member_ratios(self, x: npt.ArrayLike) -> FloatArray:
+        """Density of each of the M members over that of the average, at rows x: (n, M)."""
+        return self.member_densities(x)[1]
+
     def member_densities(self, x: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Log density (n,) of the average at rows x, and the members' ratios to it: (n, M)."""
         rows, average = as_rows(x, self.n_variables), self.average
@@ -289,8 +293,7 @@ class TrafficModel:
 
     def _block_terms(self, z: FloatArray) -> FloatArray:
         """log w_k g_k (K, n) of a block of rows z, as if there were no box."""
-        terms = self._coefficients @ quadratic.features((z - self.mean) / self._scale)
-        return np.asarray(terms)
+        return np.asarray(self._coefficients @ quadratic.features((z - self.mean) / self._scale))
 
     def _modelled_rows(self, rows: FloatArray) -> FloatArray:
         """z of rows x; any finite number where there is none, for that is outside the box."""
@@ -347,12 +350,11 @@ class TrafficModel:
     def _log_box_parts(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """Log probability (m, K) of non-empty boxes under each untruncated component."""
         m, k = len(low), self.n_components
-        low, high = self.scales.forward(low), self.scales.forward(high)
         log_p = log_box_probability(
             np.tile(self.means, (m, 1)),
             np.tile(self.covariances, (m, 1, 1)),
-            np.repeat(low, k, axis=0),
-            np.repeat(high, k, axis=0),
+            np.repeat(self.scales.forward(low), k, axis=0),
+            np.repeat(self.scales.forward(high), k, axis=0),
         )
         return log_p.reshape(m, k)
 
@@ -379,11 +381,8 @@ class TrafficModel:
     def __reduce__(self) -> tuple[type["TrafficModel"], tuple[Any, ...]]:
         # Through the constructor, so that a copy's arrays are read-only too.
         names = ("weights", "means", "covariances", "lower", "upper", "names", "provenance")
-        return TrafficModel, (
-            *(getattr(self, name) for name in names),
-            self.scales,
-            self.members,
-        )
+        own = [getattr(self, name) for name in names]
+        return TrafficModel, (*own, self.scales, self.members)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TrafficModel):
