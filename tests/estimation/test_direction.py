@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from crashrate.estimation import sequential
+from crashrate.estimation import kernels, sequential
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.direction import NEGLIGIBLE, towards, unclear
@@ -47,7 +47,7 @@ def found(seed, **options):
 def studies():
     with pytest.MonkeyPatch.context() as patch:  # quicker
         patch.setattr(sequential, "N_POOL", 5000)
-        patch.setattr(sequential, "KERNELS", ((0.5, 2.0, 1e3),))
+        patch.setattr(kernels, "KERNELS", ((0.5, 2.0, 1e3),))
         return [found(seed) for seed in range(12)]
 
 

@@ -7,12 +7,11 @@ estimate, after. docs/method.md has the reasons.
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
 from crashrate.crash_set.fronts import maximal
-from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
+from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.crude import crude
@@ -20,6 +19,7 @@ from crashrate.estimation.direction import LEARNING_ROUNDS, MAX_ROUNDS, Members,
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import N_RANKED, Explored, explore
+from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -53,41 +53,7 @@ MAX_DISCARDED, MAX_DISCARDED_SHARE, DEEP = 8, 0.06, 0.25
 SCATTER_LIMIT = 3.0
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
-KERNELS = tuple(
-    (bump, length, variance)
-    for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
-    for variance in (1e3, 1e4)
-)
-Kernel = tuple[float, float, float]
-REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
-
 Learner = Generator[Query, FloatArray, Snapshot]
-
-
-@dataclass(frozen=True)
-class Model:
-    """The surrogate's standing.
-
-    Parameters
-    ----------
-    standardise : Standardiser
-        Its coordinates.
-    best : tuple of float
-        The kernel in use.
-    n_chosen : int
-        Labels when the kernel was last chosen.
-    warm : tuple
-        The sites of each kernel's last fit.
-    """
-
-    standardise: Standardiser
-    best: Kernel = KERNELS[0]
-    n_chosen: int = 0
-    warm: tuple[tuple[Kernel, Sites], ...] = ()
-
-    def forgetting(self) -> Self:
-        """Without sites: the labels they belong to changed."""
-        return replace(self, warm=(), n_chosen=0)
 
 
 @dataclass(frozen=True)
@@ -287,30 +253,7 @@ def _simulate(
 
 
 def _fit(state: State) -> tuple[Surrogate, Model]:
-    """Fit the surrogate, with the kernel of the best leave-one-out score."""
-    labels, model = state.labels, state.model
-    known = labels.known
-    u = model.standardise(np.concatenate([state.ordinary, labels.u[known]]))
-    crash = np.concatenate([np.zeros(len(state.ordinary), bool), labels.y[known] == 1])
-    choose = labels.n < REFIT_ALWAYS or labels.n >= REFIT_GROWTH * model.n_chosen
-    warm = dict(model.warm)
-    fits = {
-        kernel: fit_surrogate(u, crash, _prior(kernel, state), warm.get(kernel))
-        for kernel in (KERNELS if choose else (model.best,))
-    }
-    best = max(fits, key=lambda kernel: fits[kernel].log_score)
-    warm |= {kernel: fit.sites for kernel, fit in fits.items()}
-    n_chosen = labels.n if choose else model.n_chosen
-    return fits[best], replace(model, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
-
-
-def _prior(kernel: Kernel, state: State) -> Prior:
-    bump, length, variance = kernel
-    length *= np.sqrt(state.labels.u.shape[1] / 3)
-    if state.directed:
-        return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
-    # without an order no direction is riskier, and far from any crash is safe
-    return Prior(bump, length, variance, linear=0.01, slope=0.0, constant=-4.0)
+    return state.model.fit(state.labels, state.ordinary, directed=state.directed)
 
 
 def _distrust(state: State, view: View) -> State:
