@@ -130,14 +130,15 @@ def drive():
 @pytest.fixture
 def small(monkeypatch):
     """Small pools, one kernel: campaigns that are quick, and otherwise the default ones."""
-    from crashrate.estimation import exploration, sequential
+    from crashrate.estimation import aiming, exploration, kernels, sequential
     from crashrate.sampling import gaussians
 
     monkeypatch.setattr(gaussians, "EM_STEPS", 3)
 
-    for name, value in (("N_POOL", 600), ("N_FIT", 100), ("N_COMPONENTS", 3)):
-        monkeypatch.setattr(sequential, name, value)
-    monkeypatch.setattr(sequential, "KERNELS", ((0.5, 2.0, 1e3),))
+    monkeypatch.setattr(sequential, "N_POOL", 600)
+    for name, value in (("N_FIT", 100), ("N_COMPONENTS", 3)):
+        monkeypatch.setattr(aiming, name, value)
+    monkeypatch.setattr(kernels, "KERNELS", ((0.5, 2.0, 1e3),))
     for name, value in (("N_WIDE", 2000), ("N_ORDINARY", 1200)):
         monkeypatch.setattr(exploration, name, value)
 

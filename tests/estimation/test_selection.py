@@ -34,6 +34,16 @@ def test_rows_are_drawn_as_often_as_their_probabilities_say(view):
     assert np.abs((counts[likely] - uniform) / np.sqrt(uniform)).max() > 4.5
 
 
+def test_a_directed_round_draws_for_other_traffic_and_still_for_its_own(view):
+    other = view.under(np.exp(3 * (view.pool.x[:, 0] - view.pool.x[:, 1])))
+    own, theirs, mixed = (
+        to_estimate(v, 6, np.random.default_rng(1), towards).probabilities
+        for v, towards in ((view, None), (other, None), (view, other))
+    )
+    assert mixed == pytest.approx(0.25 * own + 0.75 * theirs)
+    assert np.abs(own - theirs).sum() > 0.5
+
+
 def test_systematic_draws_spread_over_h(view):
     rng = np.random.default_rng(3)
     spread = [np.ptp(view.h[to_estimate(view, 8, rng).rows]) for _ in range(50)]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from crashrate.sampling.gaussians import Gaussians, fit_gaussians
 
@@ -23,11 +24,19 @@ def test_density_integrates_to_one():
     assert mass(MIXTURE.log_density) == pytest.approx(1, abs=1e-6)
 
 
-def test_components_add_up():
-    x = MIXTURE.sample(50, np.random.default_rng(0))
-    parts = MIXTURE.log_component_densities(x)
-    assert parts.shape == (50, 2)
-    assert np.exp(parts).sum(axis=1) == pytest.approx(np.exp(MIXTURE.log_density(x)))
+def test_density_is_that_of_its_components_narrow_ones_too():
+    narrow = Gaussians(
+        np.array([0.5, 0.5]),
+        np.array([[1e3, 0.0], [1e3 + 1.0, 5.0]]),
+        np.array([np.diag([1e-6, 1.0]), np.diag([1.0, 1e-4])]),
+    )
+    for mixture in (MIXTURE, narrow):
+        x = mixture.sample(50, np.random.default_rng(0))
+        laws = zip(mixture.weights, mixture.means, mixture.covariances, strict=True)
+        parts = np.array([w * multivariate_normal(m, c).pdf(x) for w, m, c in laws]).T
+        assert np.exp(mixture.log_density(x)) == pytest.approx(parts.sum(axis=1), rel=1e-6)
+        shares = parts / parts.sum(axis=1, keepdims=True)
+        assert mixture.component_probabilities(x) == pytest.approx(shares, abs=1e-6)
 
 
 def test_draws_have_the_mixture_moments():

@@ -38,6 +38,14 @@ def test_blend_density_is_the_sum_of_shares():
     assert np.exp(BLEND.log_density(x)) == pytest.approx(expected)
 
 
+def test_what_is_known_is_not_evaluated_again():
+    x = TRAFFIC.sample(20, 1)
+    known = TRAFFIC.log_density(x)
+    assert BLEND.log_density(x, (TRAFFIC, known)) == pytest.approx(BLEND.log_density(x))
+    other = BLEND.log_density(x, (TRAFFIC, known + 1))
+    assert not np.allclose(other, BLEND.log_density(x))
+
+
 def test_blend_gives_each_density_its_share():
     apart = [
         Gaussians(np.ones(1), np.full((1, 1), m), np.full((1, 1, 1), 1e-6)) for m in (0, 9, 18)

@@ -1,5 +1,6 @@
 """The campaign: ask for situations, tell their outcomes, estimate. The one class with state."""
 
+import warnings
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -33,6 +34,7 @@ def _huang2017(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
 
 
 METHODS: Mapping[str, Method] = {"sequential": _sequential, "huang2017": _huang2017}
+TELL_MEMBERS = ("sequential",)  # that say what each member of a traffic model makes of the runs
 
 
 class Campaign:
@@ -42,7 +44,8 @@ class Campaign:
     ----------
     traffic : TrafficModel
         How often each situation occurs. One with members stands for their average, and the
-        estimate says what each of them makes of the same runs.
+        estimate says what each of them makes of the same runs; with "huang2017" it stands for
+        itself, and a warning says that its members are left out.
     risk : mapping or None
         Which way is riskier: a variable's name, or a derived coordinate given as
         ``name: (function, direction)``, to "increasing" or "decreasing". None claims nothing.
@@ -88,19 +91,13 @@ class Campaign:
             raise InvalidInputError(
                 f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
             )
-        if traffic.members and method != "sequential":
-            raise InvalidInputError(
-                f"method: expected 'sequential' for a traffic model with {len(traffic.members)} "
-                f"members, got {method!r}, which does not tell them apart; fit a model without "
-                "an ensemble."
-            )
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units
-        modelled = traffic.modelled
+        modelled = traffic.modelled if method in TELL_MEMBERS else _best_fit(traffic, method)
         self._problem = Problem(
             traffic=modelled.average,
-            ensemble=modelled if traffic.members else None,
+            ensemble=modelled if modelled.members else None,
             order=order and order.on(traffic.scales),
             relative_half_width=relative_half_width,
             max_calls=max_calls,
@@ -276,6 +273,19 @@ class Campaign:
     def _history_point(self) -> HistoryPoint:
         s = self._snapshot
         return HistoryPoint(self.n_calls, s.probability, *s.interval, s.phase)
+
+
+def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
+    """The law of z without members; a warning where there are some."""
+    if not traffic.members:
+        return traffic.modelled
+    warnings.warn(
+        f"method {method!r} answers for the best fit alone: the {len(traffic.members) - 1} "
+        "further fits of the traffic model are left out, so the answer does not say how far "
+        "the events determine it; method 'sequential' does.",
+        stacklevel=3,
+    )
+    return replace(traffic.modelled, members=())
 
 
 def _outcomes(outcomes: npt.ArrayLike, n: int) -> FloatArray:

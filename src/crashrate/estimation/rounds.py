@@ -7,14 +7,14 @@ al. 1992 §6.3). Given the past, E[e] = p whatever h is, as long as pr > 0 where
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.traffic_range import TrafficRange
-from crashrate.estimation.view import View, normalised
+from crashrate.estimation.view import View
 from crashrate.variables import FloatArray
 
 # The ratios of scatter seen to scatter predicted are shrunk to 1 with the weight of this many
@@ -28,12 +28,24 @@ CERTAIN, TINY = 1e-4, 1e-40
 # A round whose prediction was below this share of the latest ones had not seen the crash set yet,
 # and what it was sure of was wrong: it is left out.
 MIN_PREDICTED, LATEST = 0.5, 3
+Values = FloatArray | float
 MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
 
 
-def _none() -> FloatArray:
-    """Of a traffic model without members."""
-    return np.empty(0)
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What a round says under each of the traffic model's M members, from the same draws.
+
+    Parameters
+    ----------
+    estimates, predicted, variances, squares : ndarray, shape (M,)
+        As `Round.estimate`, `.predicted`, `.variance` and `.squares`.
+    """
+
+    estimates: FloatArray
+    predicted: FloatArray
+    variances: FloatArray
+    squares: FloatArray
 
 
 @dataclass(frozen=True)
@@ -57,8 +69,8 @@ class Round:
         Sum of the squared contributions of the draws: what `variance` predicted, as it came out.
     largest : float
         Largest contribution of a single run.
-    members, member_variances : ndarray, shape (M,)
-        Estimates under the traffic model's members, and their predicted variances.
+    members : Sums or None
+        The same under the traffic model's members; None where it has none.
     """
 
     n_runs: int
@@ -70,17 +82,11 @@ class Round:
     n_draws: int
     squares: float
     largest: float
-    members: FloatArray = field(default_factory=_none)
-    member_variances: FloatArray = field(default_factory=_none)
+    members: Sums | None = None
 
 
-def measure(
-    view: View, drawn: Drawn, outcomes: FloatArray, ratios: FloatArray | None = None
-) -> Round:
-    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation.
-
-    `ratios` (N, M) are the densities of the traffic model's members over its own, at the pool.
-    """
+def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
+    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation."""
     rows, n = drawn.rows, len(drawn.rows)
     h = view.h[rows]
     factor = view.weights[rows] / drawn.probabilities[rows]
@@ -89,35 +95,39 @@ def measure(
     down, up = (float((factor * np.where(failed, e - h, 0.0)).sum() / n) for e in (0.0, 1.0))
     estimate = view.probability + float(moved.sum())
     variance = predicted_variance(view, drawn.probabilities, n) + view.pool_variance
-    variance = max(variance, (CERTAIN * view.probability) ** 2, TINY)
     largest = float(np.abs(moved).max())
-    members = member_variances = _none()
-    if ratios is not None:
-        members, member_variances = _under_members(view, drawn, moved, ratios)
     return Round(
         n_runs=len(np.unique(rows)),
         estimate=estimate,
         lowest=estimate + down,
         highest=estimate + up,
         predicted=view.probability,
-        variance=variance,
+        variance=float(_at_least(variance, view.probability)),
         n_draws=n,
         squares=float(moved @ moved),
         largest=largest,
-        members=members,
-        member_variances=member_variances,
+        members=_under_members(view, drawn, moved),
     )
 
 
-def _under_members(
-    view: View, drawn: Drawn, moved: FloatArray, ratios: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """The same sums with each member's weights instead: estimates and variances (M,)."""
-    part = view.weights * view.h
-    estimates = part @ ratios + moved @ ratios[drawn.rows]
+def _at_least(variance: Values, predicted: Values) -> FloatArray:
+    return np.maximum(variance, np.maximum((CERTAIN * np.asarray(predicted)) ** 2, TINY))
+
+
+def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
+    """The same sums with each member's weights instead."""
+    if (ratios := view.pool.ratios) is None:
+        return None
+    part, drawn_ratios = view.weights * view.h, ratios[drawn.rows]
+    predicted = part @ ratios
     spread = _variance_parts(view, drawn.probabilities) / len(drawn.rows)
-    pool = np.maximum(part**2 @ ratios**2 - (part @ ratios) ** 2 / view.pool.n_drawn, 0.0)
-    return estimates, np.maximum(spread @ ratios**2 + pool, TINY)
+    pool = np.maximum((part**2) @ ratios**2 - predicted**2 / view.pool.n_drawn, 0.0)
+    return Sums(
+        estimates=predicted + moved @ drawn_ratios,
+        predicted=predicted,
+        variances=_at_least(spread @ ratios**2 + pool, predicted),
+        squares=moved**2 @ drawn_ratios**2,
+    )
 
 
 def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
@@ -176,17 +186,15 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     by 1.3 in standard deviation), and the few rounds' own scatter alone under-covers.
     """
     rounds = not_refuted(rounds, float(np.median([r.predicted for r in rounds[-LATEST:]])))
-    variance = np.array([r.variance for r in rounds])
-    share = _shares(np.array([r.predicted for r in rounds]), variance)
-    estimates = np.array([r.estimate for r in rounds])
-    center = float(share @ estimates)
-    squares = (estimates - center) ** 2 / variance
-    freedom = PRIOR_ROUNDS + len(rounds) - 1
-    birge = (PRIOR_ROUNDS + float(squares.sum())) / freedom
-    predicted = float(share**2 @ variance)
-    inflation = max(1.0, birge, _surprise(rounds, share, predicted))
-    error = math.sqrt(inflation * predicted)
-    half_width = float(stdtrit(freedom, 0.5 + confidence / 2)) * error
+    estimates, predicted, variances, squares = (
+        np.array([getattr(r, name) for r in rounds])
+        for name in ("estimate", "predicted", "variance", "squares")
+    )
+    share = _shares(predicted, variances)
+    n_draws = sum(r.n_draws for r in rounds)
+    found = _together(share, Sums(estimates, predicted, variances, squares), n_draws)
+    center, error = float(found.center), math.sqrt(found.inflation * found.variance)
+    half_width = float(stdtrit(_freedom(rounds), 0.5 + confidence / 2)) * error
     lowest = float(share @ np.array([r.lowest for r in rounds]))
     highest = float(share @ np.array([r.highest for r in rounds]))
     largest = float((share * np.array([r.largest for r in rounds])).max())
@@ -198,18 +206,58 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         lower=max(lowest - half_width, 0.0),
         upper=min(highest + half_width, 1.0),
         n_rounds=len(rounds),
-        scatter=float(squares.mean()),
+        scatter=float(found.scatter),
         largest_share=largest / center if center > 0 else 1.0,
-        members=_members(rounds, share, inflation),
+        members=_members(rounds, n_draws, float(found.inflation)),
     )
 
 
-def _members(rounds: Sequence[Round], share: FloatArray, inflation: float) -> TrafficRange | None:
-    if not len(rounds[0].members):
+@dataclass(frozen=True, eq=False)
+class _Together:
+    """R rounds together, under one law () or each of the members (M,)."""
+
+    center: FloatArray
+    variance: FloatArray
+    scatter: FloatArray
+    inflation: FloatArray
+
+
+def _together(share: FloatArray, sums: Sums, n_draws: int) -> _Together:
+    """Rounds (R, ...) combined by their shares (R, ...)."""
+    center = (share * sums.estimates).sum(axis=0)
+    squares = (sums.estimates - center) ** 2 / sums.variances
+    counted = (share > 0).sum(axis=0)
+    birge = (PRIOR_ROUNDS + (squares * (share > 0)).sum(axis=0)) / (PRIOR_ROUNDS + counted - 1)
+    variance = (share**2 * sums.variances).sum(axis=0)
+    seen = (share**2 * sums.squares).sum(axis=0)
+    # squared contributions of the draws over the predicted ones, shrunk towards 1
+    surprise = (PRIOR_DRAWS + n_draws * seen / variance) / (PRIOR_DRAWS + n_draws)
+    inflation = np.maximum(1.0, np.maximum(birge, surprise))
+    return _Together(center, variance, squares.mean(axis=0), inflation)
+
+
+def _freedom(rounds: Sequence[Round]) -> int:
+    return PRIOR_ROUNDS + len(rounds) - 1
+
+
+def _members(rounds: Sequence[Round], n_draws: int, least: float) -> TrafficRange | None:
+    """Each member by its own shares: a round directed at it says little about the others.
+
+    A round that had not seen the member's crashes is left out for it, as `not_refuted` does for
+    all. The inflation is the member's own, and never less than that of the average, `least`: what
+    is wrong with the surrogate there is seldom right elsewhere.
+    """
+    found = [r.members for r in rounds if r.members is not None]
+    if not found:
         return None
-    estimates = share @ np.array([r.members for r in rounds])
-    variances = inflation * (share**2 @ np.array([r.member_variances for r in rounds]))
-    return TrafficRange(tuple(estimates.tolist()), tuple(np.sqrt(variances).tolist()))
+    names = ("estimates", "predicted", "variances", "squares")
+    sums = Sums(*(np.array([getattr(s, name) for s in found]) for name in names))
+    known = MIN_PREDICTED * np.median(sums.predicted[-LATEST:], axis=0)
+    predicted = np.where(sums.predicted >= known, sums.predicted, np.nan)
+    share = _shares(predicted, sums.variances)
+    got = _together(share, sums, n_draws)
+    error = np.sqrt(np.maximum(got.inflation, least) * got.variance)
+    return TrafficRange(tuple(got.center.tolist()), tuple(error.tolist()))
 
 
 def not_refuted(rounds: Sequence[Round], predicted: float) -> list[Round]:
@@ -218,15 +266,11 @@ def not_refuted(rounds: Sequence[Round], predicted: float) -> list[Round]:
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:
-    usual = float(np.median(predicted))
-    return normalised(np.minimum(predicted, MAX_PREDICTED * usual) ** 2 / variance)
-
-
-def _surprise(rounds: Sequence[Round], share: FloatArray, predicted: float) -> float:
-    """Squared contributions of the draws over the predicted ones, shrunk towards 1."""
-    n = sum(r.n_draws for r in rounds)
-    seen = float(share**2 @ np.array([r.squares for r in rounds]))
-    return (PRIOR_DRAWS + n * seen / predicted) / (PRIOR_DRAWS + n)
+    """Shares (R, ...) of rounds, one in sum over them; none where nothing is predicted (NaN)."""
+    usual = np.nanmedian(predicted, axis=0)
+    weights = np.nan_to_num(np.minimum(predicted, MAX_PREDICTED * usual) ** 2 / variance)
+    total = weights.sum(axis=0)
+    return np.asarray(np.where(total > 0, weights / np.maximum(total, TINY), 1 / len(predicted)))
 
 
 def log_efficiency(combined: Combined, n_runs: int) -> float:

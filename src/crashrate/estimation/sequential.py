@@ -7,18 +7,20 @@ estimate, after. docs/method.md has the reasons.
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
 from crashrate.crash_set.fronts import maximal
-from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
+from crashrate.crash_set.surrogate import Surrogate
+from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.crude import crude
+from crashrate.estimation.direction import LEARNING_ROUNDS, MAX_ROUNDS, Members, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
-from crashrate.estimation.exploration import INFLATION, N_RANKED, Explored, explore, inflated
+from crashrate.estimation.exploration import N_RANKED, Explored, explore
+from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -32,16 +34,11 @@ from crashrate.estimation.rounds import (
 from crashrate.estimation.selection import greedy, to_estimate, to_learn
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.view import Standardiser, View, see
-from crashrate.sampling.gaussians import fit_gaussians
-from crashrate.sampling.pool import Blend, Density, draw_pool
+from crashrate.sampling.pool import Density, draw_pool
 from crashrate.variables import FloatArray
 
 BEGINNING, ENCOUNTERS = 2_000_000, 2_000_001  # random streams beside those of the rounds
 N_POOL = 20_000
-N_COMPONENTS = 12
-N_FIT = 1000  # draws per aim that the pool's proposal is fitted to
-WIDEN = 1.3
-SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), inflated traffic
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
 # Beyond so many runs a wide interval is better than none. (Not a share of the budget: a run whose
@@ -57,41 +54,7 @@ MAX_DISCARDED, MAX_DISCARDED_SHARE, DEEP = 8, 0.06, 0.25
 SCATTER_LIMIT = 3.0
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
-KERNELS = tuple(
-    (bump, length, variance)
-    for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
-    for variance in (1e3, 1e4)
-)
-Kernel = tuple[float, float, float]
-REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
-
 Learner = Generator[Query, FloatArray, Snapshot]
-
-
-@dataclass(frozen=True)
-class Model:
-    """The surrogate's standing.
-
-    Parameters
-    ----------
-    standardise : Standardiser
-        Its coordinates.
-    best : tuple of float
-        The kernel in use.
-    n_chosen : int
-        Labels when the kernel was last chosen.
-    warm : tuple
-        The sites of each kernel's last fit.
-    """
-
-    standardise: Standardiser
-    best: Kernel = KERNELS[0]
-    n_chosen: int = 0
-    warm: tuple[tuple[Kernel, Sites], ...] = ()
-
-    def forgetting(self) -> Self:
-        """Without sites: the labels they belong to changed."""
-        return replace(self, warm=(), n_chosen=0)
 
 
 @dataclass(frozen=True)
@@ -118,6 +81,10 @@ class State:
         Number of the round.
     learning : bool
         Whether the last round was spent on learning.
+    members : tuple of int
+        Of the traffic model: those that the next round is directed at, if any.
+    n_directed : int
+        Rounds so far that were directed at members.
     """
 
     labels: Labels
@@ -130,6 +97,8 @@ class State:
     dropped_at: int | None = None
     k: int = 1
     learning: bool = True
+    members: Members = ()
+    n_directed: int = 0
 
     @property
     def ordered(self) -> bool:
@@ -139,6 +108,8 @@ class State:
     @property
     def may_learn(self) -> bool:
         """Whether runs may still go into learning alone."""
+        if self.members:
+            return self.n_directed <= LEARNING_ROUNDS
         without_order = 0 if self.dropped_at is None else self.dropped_at + RELEARNING_RUNS
         return self.labels.n < max(LEARNING_RUNS, without_order)
 
@@ -161,8 +132,10 @@ def sequential(problem: Problem) -> Learner:
             continue
         state, view = yield from _round(problem, state, snapshot)
         snapshot = _snapshot(problem, state, view)
-        if snapshot.stop_reason is not StopReason.RUNNING:
+        state = _directed(problem, state, snapshot)
+        if snapshot.stop_reason is not StopReason.RUNNING and not state.members:
             break
+        snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     else:
         snapshot = replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
     exact = exact_bounds(problem, state.labels)
@@ -174,6 +147,15 @@ def _belief(state: State) -> Belief:
     """What all outcomes say, the last round's included."""
     surrogate, model = _fit(state)
     return Belief(state.labels, surrogate, model.standardise, state.proposal)
+
+
+def _directed(problem: Problem, state: State, snapshot: Snapshot) -> State:
+    """With the members that the next round looks at: after the target is met, a few times."""
+    whole = problem.max_calls - state.labels.n >= problem.batch_size  # cut, it would be no round
+    if snapshot.stop_reason is StopReason.RUNNING or not whole or state.n_directed == MAX_ROUNDS:
+        return replace(state, members=())
+    members = unclear(snapshot.traffic_range)
+    return replace(state, members=members, n_directed=state.n_directed + 1)
 
 
 def _begin(problem: Problem, explored: Explored) -> State:
@@ -206,13 +188,15 @@ def _round(
     rng = problem.rng(state.k)
     surrogate, model = _fit(state)
     proposal = state.proposal
-    for _ in range(2 if state.k == 1 else 0):  # the first proposal is only inflated traffic
-        proposal = _aim(problem, _see(problem, state, surrogate, proposal, rng), state, rng)
+    # the first proposal is only inflated traffic, and the last round's was not for these members
+    for _ in range(2 if state.k == 1 else bool(state.members)):
+        proposal = _aim(problem, state, _see(problem, state, surrogate, proposal, rng), rng)
     view = _see(problem, state, surrogate, proposal, rng)
-    unsure = view.spread.sum() > START_CV * np.sqrt(ROUND) * view.probability
+    wanted = towards(view, state.members)
+    unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
     learning = bool(unsure) and state.may_learn
     if learning:
-        rows = to_learn(view, problem.batch_size, rng, ordered=state.ordered)
+        rows = to_learn(wanted, problem.batch_size, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
         rounds = state.rounds
@@ -224,7 +208,7 @@ def _round(
         labels=labels,
         rounds=rounds,
         model=replace(model, standardise=standardise),
-        proposal=_aim(problem, view, state, rng),
+        proposal=_aim(problem, state, view, rng),
         k=state.k + 1,
         learning=learning,
     )
@@ -238,8 +222,15 @@ def _see(
     proposal: Density,
     rng: np.random.Generator,
 ) -> View:
-    pool = draw_pool(proposal, problem.traffic, state.labels.coordinates, N_POOL, rng)
+    coordinates = state.labels.coordinates
+    pool = draw_pool(proposal, problem.traffic, coordinates, N_POOL, rng, ensemble=problem.ensemble)
     return see(pool, state.labels, surrogate, state.model.standardise)
+
+
+def _aim(problem: Problem, state: State, view: View, rng: np.random.Generator) -> Density:
+    """Where the next pool is drawn: for the average, and for the members looked at."""
+    views = (view, towards(view, state.members)) if state.members else (view,)
+    return aim(problem.traffic, views, rng, ordered=state.ordered)
 
 
 def _estimate(
@@ -247,8 +238,9 @@ def _estimate(
 ) -> Generator[Query, FloatArray, tuple[Labels, tuple[Round, ...]]]:
     """Runs drawn with known probabilities, and a few that settle much through the order."""
     n = problem.batch_size
-    aside = greedy(view, round(GREEDY_SHARE * n) if state.ordered else 0, rng)
-    drawn = to_estimate(view, n - len(aside), rng)
+    wanted = towards(view, state.members)
+    aside = greedy(wanted, round(GREEDY_SHARE * n) if state.ordered else 0, rng)
+    drawn = to_estimate(view, n - len(aside), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, aside]))
     room = problem.max_calls - state.labels.n
     if len(rows) > room:  # a cut batch is no unbiased round: its runs are spent on learning
@@ -257,8 +249,7 @@ def _estimate(
     snapshot = replace(snapshot, phase="estimate")
     labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
     outcomes = labels.y[-len(rows) :][np.searchsorted(rows, drawn.rows)]
-    ratios = None if problem.ensemble is None else problem.ensemble.member_ratios(view.pool.x)
-    return labels, (*state.rounds, measure(view, drawn, outcomes, ratios))
+    return labels, (*state.rounds, measure(view, drawn, outcomes))
 
 
 def _simulate(
@@ -270,41 +261,7 @@ def _simulate(
 
 
 def _fit(state: State) -> tuple[Surrogate, Model]:
-    """Fit the surrogate, with the kernel of the best leave-one-out score."""
-    labels, model = state.labels, state.model
-    known = labels.known
-    u = model.standardise(np.concatenate([state.ordinary, labels.u[known]]))
-    crash = np.concatenate([np.zeros(len(state.ordinary), bool), labels.y[known] == 1])
-    choose = labels.n < REFIT_ALWAYS or labels.n >= REFIT_GROWTH * model.n_chosen
-    warm = dict(model.warm)
-    fits = {
-        kernel: fit_surrogate(u, crash, _prior(kernel, state), warm.get(kernel))
-        for kernel in (KERNELS if choose else (model.best,))
-    }
-    best = max(fits, key=lambda kernel: fits[kernel].log_score)
-    warm |= {kernel: fit.sites for kernel, fit in fits.items()}
-    n_chosen = labels.n if choose else model.n_chosen
-    return fits[best], replace(model, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
-
-
-def _prior(kernel: Kernel, state: State) -> Prior:
-    bump, length, variance = kernel
-    length *= np.sqrt(state.labels.u.shape[1] / 3)
-    if state.directed:
-        return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
-    # without an order no direction is riskier, and far from any crash is safe
-    return Prior(bump, length, variance, linear=0.01, slope=0.0, constant=-4.0)
-
-
-def _aim(problem: Problem, view: View, state: State, rng: np.random.Generator) -> Density:
-    """Where the next pool is drawn: fitted to this one, with two defensive shares."""
-    aims = [view.target, view.learning]
-    if state.ordered and (undecided := view.weights * view.undecided).sum() > 0:
-        aims.append(undecided / undecided.sum())
-    rows = np.concatenate([rng.choice(len(view.h), N_FIT, p=p) for p in aims])
-    fitted = fit_gaussians(view.pool.x[rows], N_COMPONENTS, rng)
-    fitted = replace(fitted, covariances=fitted.covariances * WIDEN)
-    return Blend(SHARES, (fitted, problem.traffic, inflated(problem.traffic, (INFLATION,))))
+    return state.model.fit(state.labels, state.ordinary, directed=state.directed)
 
 
 def _distrust(state: State, view: View) -> State:

@@ -35,6 +35,11 @@ class TrafficRange:
         return np.asarray((np.maximum(p, 0.0) / error) ** 2)
 
     @property
+    def upper(self) -> FloatArray:
+        """Probabilities (M,), at least 0, two standard errors up."""
+        return np.asarray(np.maximum(self.probabilities, 0.0) + 2 * np.array(self.standard_errors))
+
+    @property
     def determined(self) -> FloatArray:
         """Probabilities of the members that the runs determine."""
         return np.array(self.probabilities)[self.n_eff >= MIN_N_EFF]
@@ -65,8 +70,7 @@ class TrafficRange:
         found = self.determined
         if len(found) < 2:
             return math.nan
-        upper = np.maximum(self.probabilities, 0.0) + 2 * np.array(self.standard_errors)
-        low = upper[(self.n_eff < MIN_N_EFF) & (upper < np.median(found))]
+        low = self.upper[(self.n_eff < MIN_N_EFF) & (self.upper < np.median(found))]
         return float(np.log(np.concatenate([found, low])).std(ddof=1))
 
     @property
@@ -79,20 +83,26 @@ class TrafficRange:
         m = len(self.probabilities)
         low, middle, high = self.quantiles
         if math.isnan(middle):
-            return f"traffic models: {m} fits to the events, too few of them determined by the runs"
-        text = (
-            f"traffic models: {m} fits to the events give {low:.1e} … {middle:.1e} … {high:.1e} "
-            "(5, 50, 95 %)"
-        )
-        if self.n_undetermined:
-            text += f"; {self.n_undetermined} of them are not determined by the runs"
-        if self.undetermined:
-            factor = math.exp(1.645 * self.log_deviation)
-            text += (
-                f"; the events do not determine this number better than a factor {factor:.0f} "
-                "either way"
+            return (
+                f"traffic models: {m} fits to the recordings, too few of them determined by the "
+                "runs"
             )
-        return text
+        text = (
+            f"{m} fits to the recordings give {low:.1e} … {middle:.1e} … {high:.1e} (5, 50, 95 %)"
+        )
+        if n := self.n_undetermined:
+            text += f"; {n} of them {'is' if n == 1 else 'are'} not determined by the runs"
+        return f"traffic models: {self._verdict()}{text}"
+
+    def _verdict(self) -> str:
+        """What the range means, before its numbers: a reader in a hurry stops there."""
+        if not self.undetermined:
+            return ""
+        factor = math.exp(1.645 * self.log_deviation)
+        return (
+            "the recordings do not determine this number better than a factor "
+            f"{factor:.0f} either way: "
+        )
 
     def to_dict(self) -> dict[str, object]:
         """As JSON-ready values."""

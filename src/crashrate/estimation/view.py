@@ -1,7 +1,7 @@
 """A pool seen through the outcomes so far: the probability that each of its draws crashes."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -121,6 +121,12 @@ class View:
     def target(self) -> FloatArray:
         """Distribution over draws, ∝ w √h: of which the estimating rounds draw."""
         return normalised(self.weights * np.sqrt(self.h))
+
+    def under(self, ratio: FloatArray) -> Self:
+        """As other traffic sees it: with `ratio` (n,) times the density, up to a factor."""
+        with np.errstate(divide="ignore"):  # what has no density there has no weight
+            log_f = self.pool.log_f + np.log(ratio)
+        return replace(self, pool=replace(self.pool, log_f=log_f, ratios=None))
 
     def bounds(self) -> tuple[float, float]:
         """P(inner) and P(outer) under the pool, two standard errors to the safe side."""

@@ -1,13 +1,11 @@
 """Plain Gaussian mixtures: the cheap proposals of the pool, and their fit to weighted draws."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
 
+from crashrate.traffic.quadratic import blocks, features, log_sum, truncated_coefficients
 from crashrate.variables import FloatArray
 
 EM_STEPS = 15
@@ -34,39 +32,43 @@ class Gaussians:
         return np.asarray(np.linalg.cholesky(self.covariances), dtype=np.float64)
 
     @cached_property
-    def _inverse_chol(self) -> FloatArray:
-        identity = np.eye(self.means.shape[1])
-        return np.stack([solve_triangular(c, identity, lower=True) for c in self._chol])
+    def _standard(self) -> tuple[FloatArray, FloatArray]:
+        """Shift and scale of the coordinates in which the coefficients are of moderate size."""
+        shift = self.weights @ self.means
+        variances = np.diagonal(self.covariances, axis1=1, axis2=2) + (self.means - shift) ** 2
+        return shift, np.sqrt(self.weights @ variances)
 
     @cached_property
-    def _log_constants(self) -> FloatArray:
-        log_det = np.log(np.diagonal(self._chol, axis1=1, axis2=2)).sum(axis=1)
-        constants = np.log(self.weights) - log_det
-        return np.asarray(constants - 0.5 * self.means.shape[1] * math.log(2 * math.pi))
+    def _coefficients(self) -> FloatArray:
+        shift, scale = self._standard
+        none = np.zeros(len(self.weights))  # no box: the whole mass
+        return truncated_coefficients(
+            self.weights, none, self.means, self.covariances, shift=shift, scale=scale
+        )
 
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log density at `x` (n, d), shape (n,)."""
-        log_density: FloatArray = logsumexp(self.log_component_densities(x), axis=1)
-        return log_density
+        out = np.empty(len(x))
+        for block in blocks(len(x)):
+            out[block] = log_sum(self._block_terms(x[block]))
+        return out
 
-    def log_component_densities(self, x: FloatArray) -> FloatArray:
-        """Log of weight × density of each component at `x` (n, d), shape (n, K)."""
-        columns = []
-        for mean, root, constant in zip(
-            self.means, self._inverse_chol, self._log_constants, strict=True
-        ):
-            z = (x - mean) @ root.T
-            columns.append(constant - 0.5 * np.einsum("ij,ij->i", z, z))
-        return np.stack(columns, axis=1)
+    def component_probabilities(self, x: FloatArray) -> FloatArray:
+        """Probability that each of `x` (n, d) came from each component, shape (n, K)."""
+        terms = self._block_terms(x)
+        log_sum(terms)
+        return terms.T
+
+    def _block_terms(self, x: FloatArray) -> FloatArray:
+        """Log of weight × density of each component at `x` (n, d), shape (K, n)."""
+        shift, scale = self._standard
+        return np.asarray(self._coefficients @ features((x - shift) / scale))
 
     def sample(self, n: int, rng: np.random.Generator) -> FloatArray:
         """`n` draws, grouped by component, shape (n, d)."""
-        counts = rng.multinomial(n, self.weights)
-        draws = [
-            mean + rng.standard_normal((count, len(mean))) @ chol.T
-            for mean, chol, count in zip(self.means, self._chol, counts, strict=True)
-        ]
-        return np.concatenate(draws)
+        component = np.repeat(np.arange(len(self.weights)), rng.multinomial(n, self.weights))
+        z = rng.standard_normal((n, self.means.shape[1]))
+        return np.asarray(self.means[component] + np.einsum("nij,nj->ni", self._chol[component], z))
 
 
 def fit_gaussians(x: FloatArray, n_components: int, rng: np.random.Generator) -> Gaussians:
@@ -103,8 +105,7 @@ def _em(z: FloatArray, n_components: int, rng: np.random.Generator) -> Gaussians
 
 def _em_step(z: FloatArray, fit: Gaussians, target: FloatArray) -> Gaussians:
     n, d = z.shape
-    log_parts = fit.log_component_densities(z)
-    share = np.exp(log_parts - logsumexp(log_parts, axis=1, keepdims=True))
+    share = fit.component_probabilities(z)
     size = share.sum(axis=0) + 1e-9
     weights = np.maximum(size / n, 1e-6)
     means = (share.T @ z) / size[:, None]

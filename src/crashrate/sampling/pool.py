@@ -45,11 +45,13 @@ class Blend:
         parts = [d.sample(int(c), rng) for d, c in zip(self.densities, counts, strict=True) if c]
         return np.concatenate(parts)
 
-    def log_density(self, x: FloatArray) -> FloatArray:
-        """Log density at `x` (n, d), shape (n,)."""
-        parts = zip(self.shares, self.densities, strict=True)
-        logs = np.stack([np.log(s) + d.log_density(x) for s, d in parts])
-        log_density: FloatArray = logsumexp(logs, axis=0)
+    def log_density(
+        self, x: FloatArray, known: tuple[Density, FloatArray] | None = None
+    ) -> FloatArray:
+        """Log density at `x` (n, d), shape (n,); `known`: a density with its own there, if any."""
+        known_density, known_log = known or (None, None)
+        logs = [known_log if d is known_density else d.log_density(x) for d in self.densities]
+        log_density: FloatArray = logsumexp(np.log(self.shares)[:, None] + logs, axis=0)
         return log_density
 
 
@@ -67,6 +69,8 @@ class Pool:
         Log density of traffic and of the proposal.
     n_drawn : int
         Draws made, those outside the box included: their weight is zero.
+    ratios : ndarray or None, shape (n, M)
+        Densities of the traffic model's members over f; None where it has none.
     """
 
     x: FloatArray
@@ -74,6 +78,7 @@ class Pool:
     log_f: FloatArray
     log_q: FloatArray
     n_drawn: int
+    ratios: FloatArray | None = None
 
     @property
     def weights(self) -> FloatArray:
@@ -87,6 +92,8 @@ def draw_pool(
     coordinates: Callable[[FloatArray], FloatArray],
     n: int,
     rng: np.random.Generator,
+    *,
+    ensemble: TrafficModel | None = None,
 ) -> Pool:
     """`n` draws from `proposal`, those inside the traffic model's box kept.
 
@@ -99,10 +106,22 @@ def draw_pool(
         x (n, d) to risk coordinates (n, m).
     n : int
     rng : Generator
+    ensemble : TrafficModel, optional
+        The model with members whose average `traffic` is.
     """
     x = proposal.sample(n, rng)
     x = x[traffic.contains(x)]
-    return Pool(x, coordinates(x), traffic.log_density(x), proposal.log_density(x), n)
+    # the density of an average of forty fits is what a pool costs: once for all that needs it
+    if ensemble is None:
+        log_f, ratios = traffic.log_density(x), None
+    else:
+        log_f, ratios = ensemble.member_densities(x)
+    log_q = (
+        proposal.log_density(x, (traffic, log_f))
+        if isinstance(proposal, Blend)
+        else proposal.log_density(x)
+    )
+    return Pool(x, coordinates(x), log_f, log_q, n, ratios)
 
 
 def _split(n: int, shares: FloatArray, rng: np.random.Generator) -> np.ndarray:

@@ -19,12 +19,9 @@ from crashrate.traffic.model_checks import (
     json_provenance,
 )
 from crashrate.traffic.model_json import from_document, to_document
+from crashrate.traffic.sampling import TruncatedNormals
 from crashrate.traffic.scales import Scales
-from crashrate.traffic.truncated_normal import (
-    box_moments,
-    log_box_probability,
-    sample_truncated,
-)
+from crashrate.traffic.truncated_normal import box_moments, log_box_probability
 from crashrate.variables import FloatArray, as_rows, frozen
 
 # A component that puts less than this in the box is a numerical accident, not a fit.
@@ -194,13 +191,13 @@ class TrafficModel:
     ) -> tuple[FloatArray, npt.NDArray[np.int64]]:
         """Draws (n, d) grouped by component, and the component (n,) of each."""
         counts = rng.multinomial(n, self.weights)
-        parts = [
-            sample_truncated(mean, covariance, self._low, self._high, int(count), rng)
-            for mean, covariance, count in zip(self.means, self.covariances, counts, strict=True)
-            if count
-        ]
+        parts = [self._laws.sample(k, n_k, rng) for k, n_k in enumerate(counts.tolist()) if n_k]
         x = self.from_modelled(np.concatenate([np.empty((0, self.n_variables)), *parts]))
         return x, np.repeat(np.arange(self.n_components), counts)
+
+    @cached_property
+    def _laws(self) -> TruncatedNormals:
+        return TruncatedNormals.of(self.means, self.covariances, self._low, self._high)
 
     @cached_property
     def modelled(self) -> "TrafficModel":
@@ -231,13 +228,20 @@ class TrafficModel:
 
     def member_ratios(self, x: npt.ArrayLike) -> FloatArray:
         """Density of each of the M members over that of the average, at rows x: (n, M)."""
-        rows = as_rows(x, self.n_variables)
+        return self.member_densities(x)[1]
+
+    def member_densities(self, x: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Log density (n,) of the average at rows x, and the members' ratios to it: (n, M)."""
+        rows, average = as_rows(x, self.n_variables), self.average
         starts = np.cumsum([0, *(member.n_components for member in self.members[:-1])])
-        average, out = self.average, np.empty((len(rows), len(self.members)))
+        log_density, ratios = np.empty(len(rows)), np.empty((len(rows), len(self.members)))
         for block in quadratic.blocks(len(rows)):
-            shares = average.component_probabilities(rows[block])
-            out[block] = np.add.reduceat(shares, starts, axis=1) * len(self.members)
-        return out
+            z = self._modelled_rows(rows[block])  # that of the average, on the same scales
+            terms = average._block_terms(z)  # noqa: SLF001 - a model too; becomes shares
+            log_density[block] = quadratic.log_sum(terms) + self.scales.log_jacobian(z)
+            ratios[block] = np.add.reduceat(terms, starts, axis=0).T * len(self.members)
+        log_density[~self.contains(rows)] = -np.inf
+        return log_density, ratios
 
     def from_modelled(self, z: FloatArray) -> FloatArray:
         """Situations x (n, d) of rows z (n, d): in the box where z is, rounding or not."""
@@ -289,8 +293,7 @@ class TrafficModel:
 
     def _block_terms(self, z: FloatArray) -> FloatArray:
         """log w_k g_k (K, n) of a block of rows z, as if there were no box."""
-        terms = self._coefficients @ quadratic.features((z - self.mean) / self._scale)
-        return np.asarray(terms)
+        return np.asarray(self._coefficients @ quadratic.features((z - self.mean) / self._scale))
 
     def _modelled_rows(self, rows: FloatArray) -> FloatArray:
         """z of rows x; any finite number where there is none, for that is outside the box."""
@@ -347,12 +350,11 @@ class TrafficModel:
     def _log_box_parts(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """Log probability (m, K) of non-empty boxes under each untruncated component."""
         m, k = len(low), self.n_components
-        low, high = self.scales.forward(low), self.scales.forward(high)
         log_p = log_box_probability(
             np.tile(self.means, (m, 1)),
             np.tile(self.covariances, (m, 1, 1)),
-            np.repeat(low, k, axis=0),
-            np.repeat(high, k, axis=0),
+            np.repeat(self.scales.forward(low), k, axis=0),
+            np.repeat(self.scales.forward(high), k, axis=0),
         )
         return log_p.reshape(m, k)
 
@@ -379,11 +381,8 @@ class TrafficModel:
     def __reduce__(self) -> tuple[type["TrafficModel"], tuple[Any, ...]]:
         # Through the constructor, so that a copy's arrays are read-only too.
         names = ("weights", "means", "covariances", "lower", "upper", "names", "provenance")
-        return TrafficModel, (
-            *(getattr(self, name) for name in names),
-            self.scales,
-            self.members,
-        )
+        own = [getattr(self, name) for name in names]
+        return TrafficModel, (*own, self.scales, self.members)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TrafficModel):

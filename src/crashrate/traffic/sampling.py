@@ -1,6 +1,8 @@
 """Exact draws from a normal truncated to a box."""
 
 import math
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -54,19 +56,51 @@ def sample_truncated(  # noqa: PLR0917 - a law, a box, a number and a generator
     m, low, high = (np.asarray(v, float) for v in (mean, lower, upper))
     c = np.asarray(covariance, float)
     _check(m, c, low, high, n)
-    chain = chains(c[None], (low - m)[None], (high - m)[None])
-    tilting = saddle_points(chain)
-    plain = tilting.log_bound[0] > _PLAIN_BELOW
-    if not plain and tilting.residual[0] > _MAX_RESIDUAL:
-        raise NumericalError(
-            f"truncated draws: the saddle point was not found (residual {tilting.residual[0]:.1e});"
-            " the covariance is close to singular, so drop or rescale a variable."
-        )
-    z = _collect(chain, tilting, n, rng, plain=plain)
-    x = np.empty((n, len(m)))
-    x[:, chain.order[0]] = m[chain.order[0]] + z @ chain.factor[0].T
-    # mean + factor z rounds: a draw a hair outside the box belongs on its side.
-    return np.clip(x, low, high)
+    return TruncatedNormals.of(m[None], c[None], low, high).sample(0, n, rng)
+
+
+@dataclass(frozen=True, eq=False)
+class TruncatedNormals:
+    """B normals truncated to one box, their saddle points found once for all draws.
+
+    Parameters
+    ----------
+    means : ndarray (B, d)
+    lower, upper : ndarray (d,)
+    chain : Chain
+    tilting : Tilting
+    """
+
+    means: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    chain: Chain
+    tilting: Tilting
+
+    @classmethod
+    def of(
+        cls, means: FloatArray, covariances: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> Self:
+        """The laws with means (B, d) and covariances (B, d, d)."""
+        chain = chains(covariances, lower - means, upper - means)
+        return cls(means, lower, upper, chain, saddle_points(chain))
+
+    def sample(self, b: int, n: int, rng: np.random.Generator) -> FloatArray:
+        """Independent draws (n, d) of law b; see :func:`sample_truncated`."""
+        mean, one = self.means[b], np.array([b])
+        chain, tilting = self.chain.take(one), self.tilting.take(one)
+        plain = bool(tilting.log_bound[0] > _PLAIN_BELOW)
+        if not plain and tilting.residual[0] > _MAX_RESIDUAL:
+            raise NumericalError(
+                "truncated draws: the saddle point was not found (residual "
+                f"{tilting.residual[0]:.1e}); the covariance is close to singular, so drop or "
+                "rescale a variable."
+            )
+        z = _collect(chain, tilting, n, rng, plain=plain)
+        x = np.empty((n, len(mean)))
+        x[:, chain.order[0]] = mean[chain.order[0]] + z @ chain.factor[0].T
+        # mean + factor z rounds: a draw a hair outside the box belongs on its side.
+        return np.clip(x, self.lower, self.upper)
 
 
 def _check(m: FloatArray, c: FloatArray, low: FloatArray, high: FloatArray, n: int) -> None:

@@ -1,0 +1,37 @@
+"""Where the next pool is drawn: fitted to where the last one says that crashes and doubts are."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from crashrate.estimation.exploration import INFLATION, inflated
+from crashrate.estimation.view import View
+from crashrate.sampling.gaussians import fit_gaussians
+from crashrate.sampling.pool import Blend
+from crashrate.traffic.model import TrafficModel
+from crashrate.variables import FloatArray
+
+N_COMPONENTS = 12
+N_FIT = 1000  # draws per aim that the proposal is fitted to
+WIDEN = 1.3
+SHARES = (0.8, 0.1, 0.1)  # fitted, traffic itself (bounds the weights by 10), inflated traffic
+
+
+def aim(
+    traffic: TrafficModel, views: Sequence[View], rng: np.random.Generator, *, ordered: bool
+) -> Blend:
+    """A proposal fitted to `views` of one pool in equal parts, with two defensive shares."""
+    pool = views[0].pool
+    aims = [p for view in views for p in _aims(view, ordered=ordered)]
+    rows = np.concatenate([rng.choice(len(pool.x), N_FIT, p=p) for p in aims])
+    fitted = fit_gaussians(pool.x[rows], N_COMPONENTS, rng)
+    fitted = replace(fitted, covariances=fitted.covariances * WIDEN)
+    return Blend(SHARES, (fitted, traffic, inflated(traffic, (INFLATION,))))
+
+
+def _aims(view: View, *, ordered: bool) -> list[FloatArray]:
+    aims = [view.target, view.learning]
+    if ordered and (undecided := view.weights * view.undecided).sum() > 0:
+        aims.append(undecided / undecided.sum())
+    return aims
