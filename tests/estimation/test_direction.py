@@ -106,6 +106,21 @@ def test_a_larger_budget_goes_on_from_a_smaller_one(small, monkeypatch):  # noqa
         assert np.array_equal(part.x, whole.x[: part.n_calls])
 
 
+def test_another_target_goes_on_from_runs_directed_at_members(small, monkeypatch):  # noqa: ARG001
+    options = {"risk": RISK, "seed": 1}
+    loose = run(Campaign(family(), relative_half_width=0.3, **options))
+    with monkeypatch.context() as patch:
+        patch.setattr(sequential, "MAX_ROUNDS", 0)
+        assert run(Campaign(family(), relative_half_width=0.3, **options)).n_calls < loose.n_calls
+    n = loose.n_calls
+    tight = run(Campaign(family(), relative_half_width=0.1, earlier_targets=[(0.3, n)], **options))
+    assert tight.n_calls > n
+    assert np.array_equal(tight.x[:n], loose.x)
+    assert tight.estimate().relative_half_width <= 0.1
+    forgetful = run(Campaign(family(), relative_half_width=0.1, **options))
+    assert not np.array_equal(forgetful.x[:n], loose.x)  # the test can fail
+
+
 def test_a_campaign_that_goes_on_says_so(small):  # noqa: ARG001
     campaign = Campaign(family(), risk=RISK, relative_half_width=0.3, seed=1)
     while not campaign.done:

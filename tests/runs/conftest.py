@@ -47,7 +47,7 @@ def adaptive_method(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
         p = float(np.nanmean(y_all))
         half = 2 * float(np.sqrt(max(p * (1 - p), 1e-3) / len(y_all)))
         snapshot = Snapshot(probability=p, interval=(p - half, p + half), phase="estimate")
-        if half <= problem.relative_half_width * p:
+        if half <= problem.target_at(len(y_all)) * p:
             return replace(snapshot, stop_reason=StopReason.TARGET_MET)
     return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
 

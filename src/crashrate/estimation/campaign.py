@@ -1,7 +1,7 @@
 """The campaign: ask for situations, tell their outcomes, estimate. The one class with state."""
 
 import warnings
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -61,6 +61,8 @@ class Campaign:
         The campaign of docs/method.md, or the procedure of the 2017 paper.
     batch_size : int
         Simulator runs asked for at a time.
+    earlier_targets : sequence of (float, int)
+        Half-widths that a resumed campaign aimed at before, each until so many simulator runs.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class Campaign:
         confidence: float = 0.95,
         method: str = "sequential",
         batch_size: int = 10,
+        earlier_targets: Sequence[tuple[float, int]] = (),
     ) -> None:
         if method not in METHODS:
             raise InvalidInputError(
@@ -104,6 +107,7 @@ class Campaign:
             confidence=confidence,
             batch_size=batch_size,
             seed=seed,
+            earlier_targets=tuple((float(t), int(n)) for t, n in earlier_targets),
         )
         self._method = method
         self._steps = METHODS[method](self._problem)

@@ -299,7 +299,8 @@ def _audit(
 def _stop(problem: Problem, settings: Huang2017Settings, state: State) -> StopReason:
     tally = state.tally
     low, high = tally.interval(problem.confidence, 1 / settings.defensive_share)
-    if tally.n_eff >= MIN_N_EFF and (high - low) / 2 <= problem.relative_half_width * tally.mean:
+    narrow = (high - low) / 2 <= problem.target_at(state.labels.n) * tally.mean
+    if tally.n_eff >= MIN_N_EFF and narrow:
         return StopReason.TARGET_MET
     if state.labels.n >= problem.max_calls:
         return StopReason.BUDGET_ENDED

@@ -320,7 +320,7 @@ def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float
 
 def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
     low, high = _interval(problem, state, c)
-    narrow = (high - low) / 2 <= problem.relative_half_width * c.estimate
+    narrow = (high - low) / 2 <= problem.target_at(state.labels.n) * c.estimate
     if c.n_rounds >= MIN_ROUNDS and c.estimate > 0 and narrow:
         return StopReason.TARGET_MET
     return StopReason.RUNNING

@@ -54,6 +54,9 @@ class Problem:
         The model with members whose average `traffic` is.
     seed : int
         Batch k draws from ``SeedSequence(seed, spawn_key=(k,))``.
+    earlier_targets : tuple of (float, int)
+        Half-widths that were aimed at before, each until so many simulator runs: what a campaign
+        asks for next may depend on whether its target is met.
     """
 
     traffic: TrafficModel
@@ -64,6 +67,7 @@ class Problem:
     batch_size: int = 10
     seed: int = 0
     ensemble: TrafficModel | None = None
+    earlier_targets: tuple[tuple[float, int], ...] = ()
 
     def __post_init__(self) -> None:
         for name, kind in NUMBERS.items():
@@ -79,6 +83,11 @@ class Problem:
         for holds, name, expected in checks:
             if not holds:
                 raise InvalidInputError(f"{name}: expected {expected}, got {getattr(self, name)}.")
+
+    def target_at(self, n_calls: int) -> float:
+        """The relative half-width that is aimed at after so many simulator runs."""
+        earlier = (target for target, until in self.earlier_targets if n_calls < until)
+        return next(earlier, self.relative_half_width)
 
     def rng(self, k: int) -> np.random.Generator:
         """The generator of batch `k`, independent of all others and of what was drawn before."""

@@ -17,6 +17,7 @@ from crashrate.traffic.model import TrafficModel
 
 TRAFFIC = "traffic model"
 SOURCE = "simulator_source"
+TARGETS = "targets"
 VOUCHED = "vouched_sources"  # edited since, their outcomes kept at the user's word
 
 
@@ -78,6 +79,15 @@ def configuration(
 def target_text(problem: Problem) -> str:
     """Target and budget: a run may go on with others, where its method allows that."""
     return f"± {100 * problem.relative_half_width:g} % in {problem.max_calls} simulator runs"
+
+
+def targets(stored: dict[str, str], n_stored: int, target: float) -> list[tuple[float, int]]:
+    """Every half-width that a run aimed at, and after how many simulator runs: `target` last."""
+    before = [(float(t), int(n)) for t, n in json.loads(stored.get(TARGETS, "[]"))]
+    if before and before[-1][0] == target:
+        return before
+    kept = [(t, n) for t, n in before if n < n_stored]
+    return [*kept, (target, n_stored if kept else 0)]
 
 
 def require_same_run(directory: Path, stored: dict[str, str], asked: dict[str, str]) -> None:

@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +25,7 @@ from crashrate.recordings.comparison import Comparison
 from crashrate.runs.checking import REPLAY_CALLS, check_recordings
 from crashrate.runs.configuration import (
     SOURCE,
+    TARGETS,
     VOUCHED,
     configuration,
     require_budget,
@@ -31,6 +33,7 @@ from crashrate.runs.configuration import (
     require_same_source,
     require_same_variables,
     target_text,
+    targets,
     versions,
     vouched,
 )
@@ -107,19 +110,23 @@ def run(
     """
     directory, target = Path(out), scenario.target
     require_same_variables(scenario, traffic)
+    half_width = _given(relative_half_width, target.relative_half_width)
+    aims = _targets(directory, half_width)
     campaign = Campaign(
         traffic,
         risk=scenario.risk_mapping(),
         seed=seed,
-        relative_half_width=_given(relative_half_width, target.relative_half_width),
+        relative_half_width=half_width,
         max_calls=_given(max_calls, target.max_calls),
         confidence=target.confidence,
         method=method,
         batch_size=batch_size,
+        earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
     )
     simulate = scenario.simulator()
     config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
     with _store(directory, config, campaign.problem, same_vehicle=same_vehicle) as store:
+        store.set_config(TARGETS, json.dumps(aims))
         sitting = _Sitting(directory, scenario, campaign, simulate, store, on_progress or _ignore)
         estimate = _go_on(sitting, _replay(sitting))
         belief = campaign.snapshot.belief
@@ -153,6 +160,14 @@ def n_stored(directory: str | Path) -> int:
         return 0
     with RunStore.open(Path(directory)) as store:
         return store.n_runs()
+
+
+def _targets(directory: Path, target: float) -> list[tuple[float, int]]:
+    """What the run in `directory` aimed at so far, `target` last."""
+    if not RunStore.exists(directory):
+        return targets({}, 0, target)
+    with RunStore.open(directory) as store:
+        return targets(store.config(), store.n_runs(), target)
 
 
 def _store(
