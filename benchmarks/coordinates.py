@@ -23,8 +23,8 @@ from crashrate.recordings.comparison import Comparison
 from crashrate.recordings.expectation import Draws
 from crashrate.recordings.ladder import Ladder, ladder
 from crashrate.recordings.severity import Severity
-from crashrate.simulators import AccAeb
 from crashrate.sampling.gaussians import Gaussians
+from crashrate.simulators import AccAeb
 from crashrate.traffic.mixture import TruncatedGaussianMixture
 from crashrate.traffic.model import TrafficModel
 from crashrate.traffic.scales import Scales

@@ -62,8 +62,8 @@ class Replay:
         low, high = self.interval
         crashes = f"{self.n_crashes} crash{'' if self.n_crashes == 1 else 'es'}"
         text = (
-            f"replay: the {self.n_events:,} events themselves give {self.probability:.1e} "
-            f"[{low:.1e}, {high:.1e}] ({crashes}; {self.n_simulated} simulated"
+            f"replay: the {self.n_events:,} events themselves give {_short(self.probability)} "
+            f"[{_short(low)}, {_short(high)}] ({crashes}; {self.n_simulated} simulated"
         )
         if self.n_open:
             text += f", {self.n_open} in doubt that the upper end counts as crashes"
@@ -82,6 +82,10 @@ class Replay:
         """What `to_dict` wrote."""
         own = {name: values[name] for name in cls.__dataclass_fields__}
         return cls(**{**own, "crashing": tuple(own["crashing"])})
+
+
+def _short(value: float) -> str:
+    return f"{value:.1e}" if value else "0"
 
 
 def to_simulate(h: FloatArray, max_runs: int) -> np.ndarray:

@@ -120,12 +120,12 @@ def _p_value(p: float) -> str:
 
 
 def _ladder(ladder: Ladder) -> Sheet:
-    has_range = bool(ladder.low)
-    rows = []
-    for j, level in enumerate(ladder.levels):
-        between = (f"{plain(ladder.low[j], 3)} to {plain(ladder.high[j], 3)}",) * has_range
-        expected = plain(ladder.expected[j], 3)
-        rows.append((f"× {level:g}", count(ladder.observed[j]), expected, *between))
+    between: list[tuple[str, ...]] = [
+        (f"{plain(low, 3)} to {plain(high, 3)}",)
+        for low, high in zip(ladder.low, ladder.high, strict=True)
+    ] or [()] * len(ladder.levels)
+    columns = zip(ladder.levels, ladder.observed, ladder.expected, between, strict=True)
+    rows = [(f"× {x:g}", count(o), plain(e, 3), *b) for x, o, e, b in columns]
     return Sheet(
         "ladder",
         "Severity ladder",
@@ -133,7 +133,7 @@ def _ladder(ladder: Ladder) -> Sheet:
         "campaign learned, and how many the traffic model expects among as many. The tail of the "
         f"model is tested where crashes come from: deviance {ladder.deviance:,.1f} over "
         f"{len(ladder.levels)} increments, p {_p_value(ladder.p_value)}.",
-        ("Severity", "Events that crash", "Expected", *("Fits, 5 to 95 %",) * has_range),
+        ("Severity", "Events that crash", "Expected", *("Fits, 5 to 95 %",) * bool(ladder.low)),
         tuple(rows),
     )
 
