@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from crashrate.errors import NumericalError
+from crashrate.errors import NumericalError, ScenarioError
 from crashrate.events import EventTable
 from crashrate.runs import runner
 from crashrate.runs.record import load_run
+from crashrate.runs.scenario import Scenario
 from crashrate.runs.store import RunStore
 from crashrate.traffic.model import TrafficModel
 
@@ -121,3 +122,55 @@ def test_a_check_that_fails_does_not_lose_the_answer(go, tmp_path, monkeypatch):
     assert json.loads((tmp_path / "run" / "result.json").read_text())["probability"] == (
         estimate.probability
     )
+
+
+def with_severity(scenario, text):
+    return Scenario.from_text(f"{scenario.text}\n[severity]\n{text}\n", scenario.name)
+
+
+def test_declared_severity_makes_a_ladder(scenario, rare, events, tmp_path):
+    worse = with_severity(scenario, 'a = "a * severity"\nlevels = [1, 2, 4]')
+    runner.run(worse, rare, tmp_path / "run", seed=1, max_calls=200, events=events)
+    steps = recordings(tmp_path / "run")["severity_ladder"]
+    assert steps["levels"] == [1, 2, 4]
+    truth = [int((events.values @ [k, 1] > 1.0).sum()) for k in (1, 2, 4)]
+    assert steps["observed"] == pytest.approx(truth, rel=0.1, abs=2)
+    assert steps["p_value"] > 0.01  # the events were drawn from this very model
+
+
+def test_severity_that_breaks_an_event_is_refused_before_any_run(
+    scenario, rare, events, tmp_path, vehicle
+):
+    broken = with_severity(scenario, 'a = "a / (severity - 1)"')
+    with pytest.raises(
+        ScenarioError, match=r"\[severity\]: expected finite numbers, got inf for a"
+    ):
+        runner.run(broken, rare, tmp_path / "run", seed=1, events=events)
+    assert vehicle.n_runs == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('c = "a"', "unknown variable 'c'"),
+        ("levels = [1, 2]", "at least one variable"),
+        ('a = "a * factor"', "factor"),
+        ('a = "a * severity"\nlevels = 3', "a list of numbers"),
+        ('a = "a * severity"\nlevels = [2, 1]', "grow from 1"),
+    ],
+)
+def test_what_is_no_severity_is_refused_with_its_place(scenario, text, said):
+    with pytest.raises(ScenarioError, match=said) as refused:
+        with_severity(scenario, text)
+    assert "[severity]" in str(refused.value)
+
+
+def test_closing_variable_is_multiplied_by_default():
+    from pathlib import Path
+
+    examples = Path(__file__).parents[2] / "examples"
+    for name, variable in (("cut_in", "closing_speed"), ("huang2017", "inv_ttc")):
+        found = Scenario.from_file(examples / f"{name}.toml")
+        assert list(found.severity.changed) == [variable]
+        worse = found.severity(np.array([[20.0, 0.02, 3.0]]), 2.0)
+        assert worse.tolist() == [[20.0, 0.02, 6.0]]

@@ -5,6 +5,9 @@ from typing import Protocol
 
 import numpy as np
 
+from crashrate.crash_set.order import RiskOrder
+from crashrate.errors import InvalidInputError, ScenarioError
+from crashrate.events import EventTable
 from crashrate.recordings.check import Check, check
 from crashrate.recordings.comparison import Comparison
 from crashrate.recordings.replay import Replay, replayed, to_simulate
@@ -31,6 +34,41 @@ class Sitting(Protocol):
 
     def simulated(self, x: FloatArray) -> FloatArray:
         """Outcomes (n,) of situations x (n, d)."""
+
+
+def require_severity(scenario: Scenario, events: EventTable) -> None:
+    """Refuse a severity that makes an event no situation: before a simulator run is spent on it.
+
+    Raises
+    ------
+    ScenarioError
+        Naming the event, the factor and the variable.
+    """
+    severity = scenario.severity
+    if severity is None:
+        return
+    for level in severity.levels:
+        worse = severity(events.values, level)
+        bad = np.argwhere(~np.isfinite(worse))
+        if len(bad):
+            i, j = (int(v) for v in bad[0])
+            raise ScenarioError(
+                f"{scenario.name}.toml, [severity]: expected finite numbers, got {worse[i, j]} for "
+                f"{events.names[j]} of event {int(events.rows[i]) + 1} at severity {level:g}; "
+                "change the expression."
+            )
+        _require_coordinates(scenario, worse, level)
+
+
+def _require_coordinates(scenario: Scenario, worse: FloatArray, level: float) -> None:
+    risk = scenario.risk_mapping()
+    try:
+        if risk is not None:
+            RiskOrder.from_mapping(risk, scenario.names)(worse)
+    except InvalidInputError as error:
+        raise ScenarioError(
+            f"{scenario.name}.toml, [severity]: at severity {level:g}: {error}"
+        ) from error
 
 
 def check_recordings(

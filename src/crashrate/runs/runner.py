@@ -22,7 +22,7 @@ from crashrate.estimation.strategy import Problem
 from crashrate.events import EventTable
 from crashrate.recordings.check import Check
 from crashrate.recordings.comparison import Comparison
-from crashrate.runs.checking import REPLAY_CALLS, check_recordings
+from crashrate.runs.checking import REPLAY_CALLS, check_recordings, require_severity
 from crashrate.runs.configuration import (
     SOURCE,
     TARGETS,
@@ -110,6 +110,8 @@ def run(
     """
     directory, target = Path(out), scenario.target
     require_same_variables(scenario, traffic)
+    if events is not None:
+        require_severity(scenario, events)
     half_width = _given(relative_half_width, target.relative_half_width)
     aims = _targets(directory, half_width)
     campaign = Campaign(
