@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from crashrate.errors import CrashrateError, InvalidInputError
-from crashrate.printing import Format, print_fit, print_result, show_warning
+from crashrate.printing import Format, print_fit, print_result, runs, show_warning, standing
 from crashrate.runs.progress import progress
 
 if TYPE_CHECKING:
-    from crashrate.estimation.campaign import Campaign
     from crashrate.estimation.estimate import Estimate
     from crashrate.events import EventTable
     from crashrate.traffic.model import TrafficModel
@@ -223,7 +222,7 @@ def fit(
         show_warning(warning)
     names = ", ".join(model.names)
     further = len(model.members) - 1  # the model is the first of its members
-    members = f", with {_runs(further, 'further fit')}" if further > 0 else ""
+    members = f", with {runs(further, 'further fit')}" if further > 0 else ""
     typer.echo(f"{out}: {model.n_components} truncated normal components in {names}{members}")
 
 
@@ -289,7 +288,7 @@ def run(
             same_vehicle=same_vehicle,
             events=events,
             replay_calls=replay_calls,
-            on_progress=lambda campaign: say(_standing(campaign)),
+            on_progress=lambda campaign: say(standing(campaign)),
             say=say,
         )
     _finish(out, estimate, output, n_stored)
@@ -343,7 +342,7 @@ def demo(
             folder,
             seed=seed,
             events=events,
-            on_progress=lambda campaign: say(_standing(campaign)),
+            on_progress=lambda campaign: say(standing(campaign)),
             say=say,
         )
     _finish(folder, estimate, Format.TEXT, n_stored)
@@ -374,8 +373,8 @@ def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int
 
     if n_stored:
         taken = min(n_stored, estimate.n_calls)
-        new = _runs(estimate.n_calls - taken, "new simulator run")
-        typer.echo(f"{_runs(taken, 'outcome')} taken from {directory}, {new}.", err=True)
+        new = runs(estimate.n_calls - taken, "new simulator run")
+        typer.echo(f"{runs(taken, 'outcome')} taken from {directory}, {new}.", err=True)
     print_result(runner.status(directory), output)  # first: a report that fails must not hide it
     typer.echo(f"{directory / 'result.json'}, {_write_report(directory)}", err=True)
     codes = {"TARGET_MET": 0, "ALL_FAILED": ERROR}
@@ -387,20 +386,6 @@ def _write_report(directory: Path) -> Path:
     from crashrate.runs.record import load_run
 
     return write_report(load_run(directory), directory / REPORT)
-
-
-def _runs(n: int, word: str) -> str:
-    return f"{n} {word}" if n == 1 else f"{n} {word}s"
-
-
-def _standing(campaign: "Campaign") -> str:
-    snapshot, calls = campaign.snapshot, campaign.n_calls
-    text = f"{_runs(calls, 'simulator run')}, {snapshot.phase}"
-    if not snapshot.probability > 0:
-        return text
-    low, high = snapshot.interval
-    relative = (high - low) / 2 / snapshot.probability
-    return f"{text}: P = {snapshot.probability:.1e} ± {100 * relative:.0f} %"
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    from crashrate.estimation.campaign import Campaign
     from crashrate.traffic.model import TrafficModel
 
 _ROUNDING = 1e-9
@@ -144,3 +145,19 @@ def _range(values: Iterable[float | None]) -> float:
 
 def _listed(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, numbers))
+
+
+def runs(n: int, word: str) -> str:
+    """A number of things, in the plural where they are several."""
+    return f"{n} {word}" if n == 1 else f"{n} {word}s"
+
+
+def standing(campaign: "Campaign") -> str:
+    """How a campaign stands, on one line of progress."""
+    snapshot, calls = campaign.snapshot, campaign.n_calls
+    text = f"{runs(calls, 'simulator run')}, {snapshot.phase}"
+    if not snapshot.probability > 0:
+        return text
+    low, high = snapshot.interval
+    relative = (high - low) / 2 / snapshot.probability
+    return f"{text}: P = {snapshot.probability:.1e} ± {100 * relative:.0f} %"

@@ -182,7 +182,8 @@ def _identity(config: dict[str, str]) -> dict[str, Any]:
             f"run folder: expected a configuration written by crashrate, got: {error}; restore "
             "the folder from a copy, or choose another --out."
         ) from error
-    traffic.pop("provenance", None)  # where the numbers came from changes no number
+    for model in (traffic, *traffic.get("members", ())):
+        model.pop("provenance", None)  # where the numbers came from changes no number
     return scenario.identity | plain | {TRAFFIC: traffic}
 
 
