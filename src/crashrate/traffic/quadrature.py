@@ -30,6 +30,7 @@ _AGREEMENT = 1e-6
 _LAST_AGREEMENT = 1e-4
 _MAX_RESIDUAL = 1e-3  # of a saddle point that still tells where the mass is
 _MAX_TENSOR_DIMENSION = 3
+_FEW_STEPS = 4  # of Newton: only the place of fixed nodes hangs on them
 _STEP_REACH = 7.0  # standard deviations of a later link: beyond, 1e-12 is left of its step
 _SOBOL_SEED = 20170611  # fixed: the same box gives the same bits
 _SOBOL_LOG2 = 15  # 8 x 4096 points
@@ -157,7 +158,7 @@ def _sobol(d: int, log2_points: int) -> FloatArray:
 
 def fixed_nodes(chain: Chain, rule: Rule, log2_points: int) -> Nodes:
     """Nodes of a fixed number, unchecked: for optimisers, which check their answer in the end."""
-    tilting = saddle_points(chain)
+    tilting = saddle_points(chain, _FEW_STEPS)
     if chain.shape[1] <= _MAX_TENSOR_DIMENSION:
         return tensor_nodes(chain, tilting, rule)
     return sobol_nodes(chain, tilting, log2_points)
