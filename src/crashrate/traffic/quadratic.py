@@ -13,6 +13,7 @@ import numpy.typing as npt
 from crashrate.variables import FloatArray, frozen
 
 BLOCK = 4096
+_LOG_NOTHING = -1e300
 
 
 @cache
@@ -68,8 +69,8 @@ def truncated_coefficients(
     moderate size whatever the units.
     """
     standard = covariances / np.outer(scale, scale)
-    with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
-        log_weights = np.log(weights)
+    # log 0 as a number: an infinite one in a matrix product sets off warnings of invalid values
+    log_weights = np.log(weights, out=np.full(len(weights), _LOG_NOTHING), where=weights > 0.0)
     log_scale = (
         log_weights
         - log_masses
