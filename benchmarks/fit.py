@@ -193,7 +193,7 @@ def main() -> None:
     print(f"Python {platform.python_version()}, {packages}; {platform.machine()}.\n")
     pass_table(3 if quick else 15)
     if RECORDED.exists():
-        fit_table(1 if quick else 6)
+        fit_table(1 if quick else 10)
         selection_table(2 if quick else 15)
     else:
         print("\nWhole fits: skipped, the recorded events are not at ../shared/data.")

@@ -15,6 +15,7 @@ from crashrate.traffic.start import Start
 from crashrate.traffic.truncated_components import components_at, sound, usable
 
 _N_PART, _MANY = 30_000, 3  # events of a first fit, made where there are so many times more
+_ROUGH_TOL = 1e-6  # of it: what it gains beyond, the rest of the events takes back
 _N_EM = 15  # EM steps before the quasi-Newton ones: far from the answer they are the safer
 _N_SMALL = 3  # gains below the tolerance in a row that mean convergence
 _N_STUCK = 30  # ... and that mean that there is no way on
@@ -74,8 +75,9 @@ def fit_mixture(events: Events, prior: Prior, start: Start, schedule: Schedule) 
     """
     if schedule.algorithm is Algorithm.LEE_SCOTT or len(events.rows) < _MANY * _N_PART:
         return fit_from(events, prior, start, schedule)
+    early = replace(schedule, tol=max(schedule.tol, _ROUGH_TOL))
     try:
-        rough = fit_from(events.part(_N_PART), prior, start, schedule).mixture
+        rough = fit_from(events.part(_N_PART), prior, start, early).mixture
     except NumericalError:  # so few events hold no such mixture: all of them may
         return fit_from(events, prior, start, schedule)
     parts = rough.components
