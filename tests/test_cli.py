@@ -393,9 +393,10 @@ def test_fit_with_further_fits_keeps_them_and_tells_of_the_end_of_the_range(even
 def test_fit_tells_of_too_few_events(events, tmp_path):
     command = ["fit", events, "--scenario", HUANG, *SHORT]
     command += ["--out", tmp_path / "t.json", "--components"]
-    refused = crashrate(*command, "500")
+    refused = crashrate(*command, "40")
     assert refused.exit_code == 1
-    assert f"{events}: 397 events cannot hold 500 components" in error_line(refused)
+    assert "at least 10 events for each of 40 components, got 397 events" in error_line(refused)
+    assert "smaller --components (up to 39, better fewer)" in error_line(refused)
     few = crashrate(*command, "5")
     assert "Warning: 397 events for the 49 free parameters of 5 components" in few.stderr
     assert "Warning" not in crashrate(*command, "1").stderr

@@ -30,10 +30,17 @@ def test_other_components_are_refused(text):
         fitting.parse_components(text)
 
 
-def test_fewer_events_than_components_are_refused(events):
-    fitting.require_enough(events, (1, 3000), "e.csv")
-    with pytest.raises(InvalidInputError, match=r"e.csv: 3000 events .*--components"):
-        fitting.require_enough(events, (1, 3001), "e.csv")
+def test_fewer_than_ten_events_a_component_are_refused(events):
+    fitting.require_enough(events, (1, 300), "e.csv")
+    words = r"e.csv: expected at least 10 events for each of 301 .* got 3000 .*\(up to 300,"
+    with pytest.raises(InvalidInputError, match=words):
+        fitting.require_enough(events, (1, 301), "e.csv")
+
+
+def test_too_few_events_for_any_component_ask_for_more():
+    few = EventTable(("a",), np.zeros((9, 1)), "drawn", np.arange(9))
+    with pytest.raises(InvalidInputError, match=r"got 9 events; give more events\.$"):
+        fitting.require_enough(few, (1,))
 
 
 @pytest.mark.parametrize(("n", "warned"), [(189, True), (190, False)])

@@ -12,6 +12,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from crashrate import datasets
 from crashrate.errors import InvalidInputError, NumericalError
+from crashrate.traffic import fitting
 from crashrate.traffic.mixture import TruncatedGaussianMixture
 from crashrate.traffic.model import TrafficModel
 
@@ -198,6 +199,30 @@ def test_the_traffic_model_is_the_estimator():
     again = clone(model).fit(x)
     np.testing.assert_array_equal(again.means_, model.means_)
     np.testing.assert_array_equal(model.fit_predict(x), model.predict(x))
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_by_way_of_a_part_many_events_end_where_they_would(monkeypatch, weighted):
+    law = truth()
+    x = law.sample(4000, 6)
+    weights = np.random.default_rng(0).exponential(size=4000) if weighted else None
+    whole = TruncatedGaussianMixture(2, lower=law.lower, random_state=0).fit_weighted(x, weights)
+    monkeypatch.setattr(fitting, "_N_PART", 1000)
+    by_part = TruncatedGaussianMixture(2, lower=law.lower, random_state=0)
+    by_part.fit_weighted(x, weights)
+    assert by_part.n_iter_ < whole.n_iter_
+    assert by_part.converged_
+    assert by_part.lower_bound_ == pytest.approx(whole.lower_bound_, abs=1e-6)
+
+
+def test_a_part_that_holds_no_mixture_is_passed_over(monkeypatch):
+    def fails(events, n):
+        raise NumericalError(f"{n} of {events.n}")
+
+    x = truth().sample(400, 7)
+    monkeypatch.setattr(fitting, "_N_PART", 100)
+    monkeypatch.setattr(fitting.Events, "part", fails)
+    assert TruncatedGaussianMixture(2, random_state=0).fit(x).converged_
 
 
 @pytest.mark.skipif(not RECORDED.exists(), reason="recorded lane changes not at ../shared/data")

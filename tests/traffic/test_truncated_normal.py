@@ -122,6 +122,14 @@ def test_correlated_tail_down_to_1e_minus_260():
     assert got < -600
 
 
+@pytest.mark.parametrize("rho", [0.5, 0.99, 0.999, 0.9999, 0.99999])
+def test_three_strongly_correlated_variables_on_an_orthant(rho):
+    # Their steps lie at the end of the stretch, where nodes must crowd.
+    covariance = np.full((3, 3), rho) + (1.0 - rho) * np.eye(3)
+    got = log_box_probability(np.zeros(3), covariance, np.zeros(3), np.full(3, INF))[0]
+    assert np.exp(got) == pytest.approx(0.125 + 0.75 * np.arcsin(rho) / np.pi, rel=1e-10)
+
+
 @pytest.mark.parametrize("rho", [0.99, -0.99, 0.999, -0.999])
 @pytest.mark.parametrize("box", [([0, 0], [INF, INF]), ([-1, 0], [1, 0.7]), ([3, -INF], [9, 2.9])])
 def test_strong_correlation(rho, box):

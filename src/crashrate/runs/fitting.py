@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from crashrate.traffic.ensemble import Failed, Fitted
 
 AUTO = tuple(range(1, 16))
-EVENTS_PER_PARAMETER = 10
+EVENTS_PER_COMPONENT = 10  # fewer are refused
+EVENTS_PER_PARAMETER = 10  # fewer are warned of
 N_SAMPLE = 2000  # events kept with the model, for plots
 
 
@@ -49,18 +50,21 @@ def parse_components(text: str) -> tuple[int, ...]:
 def require_enough(
     events: EventTable, components: Sequence[int], path: str | Path = "events"
 ) -> None:
-    """Refuse to fit more components than there are events.
+    """Refuse to fit components to fewer than ten events each.
 
     Raises
     ------
     InvalidInputError
         Naming the file and the option.
     """
-    if len(events) < max(components):
-        raise InvalidInputError(
-            f"{path}: {len(events)} events cannot hold {max(components)} components; give more "
-            f"events, or a smaller --components (up to {len(events)}, better far fewer)."
-        )
+    most = len(events) // EVENTS_PER_COMPONENT
+    if max(components) <= most:
+        return
+    advice = f", or a smaller --components (up to {most}, better fewer)" if most else ""
+    raise InvalidInputError(
+        f"{path}: expected at least {EVENTS_PER_COMPONENT} events for each of {max(components)} "
+        f"components, got {len(events)} events; give more events{advice}."
+    )
 
 
 def thin_data(n_events: int, n_components: int, n_variables: int) -> str:

@@ -21,7 +21,7 @@ from crashrate.traffic.objective import (
     mixture_at,
     theta_gradient,
 )
-from crashrate.traffic.quadratic import pair_factors
+from crashrate.traffic.quadratic import pair_factors, pairs
 from crashrate.traffic.truncated_components import Box, Components, components_at, sound, usable
 from crashrate.variables import BoolArray, FloatArray
 
@@ -62,7 +62,7 @@ def lee_scott_target(prior: Prior, mixture: Mixture) -> tuple[FloatArray, FloatA
     n = np.maximum(seen.counts, np.finfo(float).tiny)[:, None]
     centre = seen.sums[:, :d] / n
     second = np.empty_like(parts.covariances)
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     second[:, i, j] = second[:, j, i] = seen.sums[:, d:] / (n * pair_factors(d))
     m = parts.box_means - parts.means  # (eq. 7)
     h = parts.covariances - parts.box_covariances - m[:, :, None] * m[:, None, :]  # (eq. 8)

@@ -1,7 +1,7 @@
 """One fit of a truncated mixture from one start: steps until they gain nothing more."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -14,6 +14,8 @@ from crashrate.traffic.quasi_newton import QuasiNewton, gain_promised
 from crashrate.traffic.start import Start
 from crashrate.traffic.truncated_components import components_at, sound, usable
 
+_N_PART, _MANY = 30_000, 3  # events of a first fit, made where there are so many times more
+_ROUGH_TOL = 1e-6  # of it: what it gains beyond, the rest of the events takes back
 _N_EM = 15  # EM steps before the quasi-Newton ones: far from the answer they are the safer
 _N_SMALL = 3  # gains below the tolerance in a row that mean convergence
 _N_STUCK = 30  # ... and that mean that there is no way on
@@ -30,11 +32,12 @@ class Algorithm(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """When a fit stops: gains per step below `tol`, or `max_iter` steps."""
+    """When a fit stops: gains per step below `tol`, or `max_iter` steps; the first are EM's."""
 
     algorithm: Algorithm
     tol: float
     max_iter: int
+    n_em: int = _N_EM
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,28 @@ class Fit:
     converged: bool
     promise: float
     n_safeguarded: int
+
+
+def fit_mixture(events: Events, prior: Prior, start: Start, schedule: Schedule) -> Fit:
+    """Climb from `start` as `schedule` says, where events are many first on a part of them.
+
+    Most steps of a fit cross plateaus that a part of the events shows as well, for less.
+
+    Raises
+    ------
+    NumericalError
+        If the start, however widened, is no usable mixture.
+    """
+    if schedule.algorithm is Algorithm.LEE_SCOTT or len(events.rows) < _MANY * _N_PART:
+        return fit_from(events, prior, start, schedule)
+    early = replace(schedule, tol=max(schedule.tol, _ROUGH_TOL))
+    try:
+        rough = fit_from(events.part(_N_PART), prior, start, early).mixture
+    except NumericalError:  # so few events hold no such mixture: all of them may
+        return fit_from(events, prior, start, schedule)
+    parts = rough.components
+    near = Start(np.exp(rough.log_weights), parts.means, parts.covariances)
+    return fit_from(events, prior, near, replace(schedule, n_em=0))
 
 
 def fit_from(events: Events, prior: Prior, start: Start, schedule: Schedule) -> Fit:
@@ -105,7 +130,7 @@ def _climber(events: Events, prior: Prior, schedule: Schedule) -> Climb:
     def climb(i: int, mixture: Mixture) -> tuple[Mixture | None, int]:
         if schedule.algorithm is Algorithm.LEE_SCOTT:
             step = lee_scott_step(events, prior, mixture)
-        elif i < _N_EM:
+        elif i < schedule.n_em:
             step = information_em_step(events, prior, mixture)
         else:
             return quasi_newton.step(mixture), 0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from crashrate.traffic.one_dimension import IntervalMoments
-from crashrate.traffic.quadratic import pair_factors
+from crashrate.traffic.quadratic import pair_factors, pairs
 from crashrate.traffic.quadrature import Nodes
 from crashrate.variables import FloatArray
 
@@ -11,7 +11,7 @@ from crashrate.variables import FloatArray
 def feature_map(factors: FloatArray, means: FloatArray) -> FloatArray:
     """The matrices J (K, q, q) with s(y) = J (t, t t') + constant for y = mean + factor t."""
     k, d = means.shape
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     out = np.zeros((k, d + len(i), d + len(i)))
     out[:, :d, :d] = factors
     row_i, row_j = factors[:, i], factors[:, j]  # (K, pairs, d)
@@ -25,7 +25,7 @@ def feature_map(factors: FloatArray, means: FloatArray) -> FloatArray:
 def gaussian_information(factors: FloatArray, means: FloatArray) -> FloatArray:
     """Cov s(y) (K, q, q) of untruncated normals with Cholesky factors (K, d, d)."""
     d = means.shape[1]
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     variances = np.concatenate([np.ones(d), np.where(i == j, 2.0, 1.0)])
     mapped = feature_map(factors, means)
     return np.asarray((mapped * variances) @ mapped.transpose(0, 2, 1))
@@ -39,7 +39,7 @@ def link_information(nodes: Nodes, last: IntervalMoments, z_mean: FloatArray) ->
     shares = nodes.shares()
     t = np.concatenate([nodes.points, last.mean[..., None]], axis=2) - z_mean[:, None, :]
     d = t.shape[2]
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     features = np.concatenate([t, t[:, :, i] * t[:, :, j]], axis=2)
     features[:, :, -1] += last.second  # E t_d^2 given the node
     features -= np.einsum("bn,bnq->bq", shares, features)[:, None, :]

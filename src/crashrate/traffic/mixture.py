@@ -14,7 +14,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
 from crashrate.errors import InvalidInputError, NumericalError
-from crashrate.traffic.fitting import Algorithm, Fit, Schedule, fit_from
+from crashrate.traffic.fitting import Algorithm, Fit, Schedule, fit_mixture
 from crashrate.traffic.model import TrafficModel, default_names
 from crashrate.traffic.objective import Events, Prior
 from crashrate.traffic.scales import Scales
@@ -44,7 +44,8 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         Of each variable, linear by default: "log" models a positive variable's logarithm. Densities
         and criteria stay in the units of the data, so that scales can be compared by them.
     algorithm : {"quasi-newton", "lee-scott"}
-        "quasi-newton": a few EM steps, then L-BFGS on the natural parameters; converges.
+        "quasi-newton": a few EM steps, then L-BFGS on the natural parameters; converges. Where
+        events are many (90,000), first on a part of them.
         "lee-scott": the paper's EM, its steps safeguarded; slow where data pile up at a side.
     tol : float
         Converged when three steps in a row gain less than this in log likelihood per event, and
@@ -227,7 +228,7 @@ class TruncatedGaussianMixture(DensityMixin, BaseEstimator):  # type: ignore[mis
         strength = self.prior_strength
         for _ in range(_MAX_GROWTHS):
             prior = Prior(strength, np.zeros(events.d), covariance)
-            fit = fit_from(events, prior, start, schedule)
+            fit = fit_mixture(events, prior, start, schedule)
             drift = standard.drift(fit.mixture.components.means)
             if strength == 0.0 or drift <= _MAX_DRIFT:
                 return fit, strength

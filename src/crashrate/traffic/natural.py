@@ -6,21 +6,21 @@ likelihood of a (truncated) normal is concave in theta, its gradient the differe
 
 import numpy as np
 
-from crashrate.traffic.quadratic import pair_factors
+from crashrate.traffic.quadratic import pair_factors, pairs
 from crashrate.variables import FloatArray
 
 
 def to_natural(means: FloatArray, covariances: FloatArray) -> FloatArray:
     """Means (K, d) and covariances (K, d, d) -> theta (K, d + d (d + 1) / 2)."""
     precisions = np.linalg.inv(covariances)
-    i, j = np.triu_indices(means.shape[1])
+    i, j = pairs(means.shape[1])
     linear = np.einsum("kij,kj->ki", precisions, means)
     return np.hstack([linear, 0.5 * (precisions + precisions.transpose(0, 2, 1))[:, i, j]])
 
 
 def precisions_of(theta: FloatArray, d: int) -> FloatArray:
     """The symmetric matrices P (K, d, d) in theta, definite or not."""
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     precisions = np.empty((len(theta), d, d))
     precisions[:, i, j] = theta[:, d:]
     precisions[:, j, i] = theta[:, d:]
@@ -39,6 +39,6 @@ def gaussian_log_partition(means: FloatArray, covariances: FloatArray) -> FloatA
 def expectations(means: FloatArray, covariances: FloatArray) -> FloatArray:
     """E s(y) (K, q) of any law with these means (K, d) and covariances (K, d, d)."""
     d = means.shape[1]
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     second = covariances + means[:, :, None] * means[:, None, :]
     return np.hstack([means, second[:, i, j] * pair_factors(d)])

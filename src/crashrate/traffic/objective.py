@@ -1,12 +1,13 @@
 """The penalised log likelihood of a truncated mixture, one blocked pass over the events."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from crashrate.traffic import quadratic
 from crashrate.traffic.natural import expectations
+from crashrate.traffic.one_dimension import ROUGH
 from crashrate.traffic.truncated_components import Box, Components
 from crashrate.variables import FloatArray
 
@@ -51,6 +52,12 @@ class Events:
         self._weights = weights
         n_numbers = len(y) * quadratic.n_features(self.d)
         self._blocks = list(self._made_blocks()) if n_numbers <= _MAX_KEPT else None
+
+    def part(self, n: int) -> "Events":
+        """About `n` of them, evenly spread over the rows, to be integrated roughly."""
+        some = slice(None, None, max(1, len(self.rows) // n))
+        weights = None if self._weights is None else self._weights[some]
+        return Events(self.rows[some], replace(self.box, rule=ROUGH), weights)
 
     def _made_blocks(self) -> Iterator[FloatArray]:
         for block in quadratic.blocks(len(self.rows)):

@@ -116,6 +116,8 @@ class Rule:
 FINE = Rule(40, 35.0)
 # 1e-12 and 3e-9: enough for an optimiser, which takes this many thousand times over.
 COARSE = Rule(24, 25.0)
+# 1e-8, and 3e-4 where a component is thin and cut: enough to come near the answer.
+ROUGH = Rule(14, 18.0)
 
 
 def effective_stretch(lower: FloatArray, upper: FloatArray, log_drop: float) -> Stretch:

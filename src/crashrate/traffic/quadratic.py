@@ -5,12 +5,22 @@ densities of every row their product; blocks keep it in the cache and never hold
 """
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 
-from crashrate.variables import FloatArray
+from crashrate.variables import FloatArray, frozen
 
 BLOCK = 4096
+_LOG_NOTHING = -1e300
+
+
+@cache
+def pairs(d: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Indices i and j of the pairs i <= j, made once: a fit asks for them at every step."""
+    i, j = np.triu_indices(d)
+    return frozen(i, np.int64), frozen(j, np.int64)
 
 
 def n_features(d: int) -> int:
@@ -24,21 +34,21 @@ def features(y: FloatArray) -> FloatArray:
     out = np.empty((n_features(d), n))
     out[0] = 1.0
     out[1 : d + 1] = y.T
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     np.multiply(out[1 + i], out[1 + j], out=out[d + 1 :])
     return out
 
 
 def pair_factors(d: int) -> FloatArray:
     """The factor of y_i y_j in -y' P y / 2, per entry P_ij: -1/2 on the diagonal, else -1."""
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     return np.where(i == j, -0.5, -1.0)
 
 
 def coefficients(log_scale: FloatArray, means: FloatArray, precisions: FloatArray) -> FloatArray:
     """Coefficients (K, n_features) of log_scale - (y - mean)' precision (y - mean) / 2."""
     d = means.shape[1]
-    i, j = np.triu_indices(d)
+    i, j = pairs(d)
     linear = np.einsum("kij,kj->ki", precisions, means)
     constant = log_scale - 0.5 * np.einsum("ki,ki->k", linear, means)
     return np.hstack([constant[:, None], linear, precisions[:, i, j] * pair_factors(d)])
@@ -59,8 +69,8 @@ def truncated_coefficients(
     moderate size whatever the units.
     """
     standard = covariances / np.outer(scale, scale)
-    with np.errstate(divide="ignore"):  # a component of weight 0 has log weight -inf
-        log_weights = np.log(weights)
+    # log 0 as a number: an infinite one in a matrix product sets off warnings of invalid values
+    log_weights = np.log(weights, out=np.full(len(weights), _LOG_NOTHING), where=weights > 0.0)
     log_scale = (
         log_weights
         - log_masses
@@ -84,5 +94,5 @@ def log_sum(terms: FloatArray) -> FloatArray:
     terms -= top
     np.exp(terms, out=terms)
     total = terms.sum(axis=0)
-    terms /= total
+    terms *= 1.0 / total
     return np.asarray(top + np.log(total))

@@ -23,12 +23,15 @@ from crashrate.variables import BoolArray, FloatArray
 # one before shows. Where plain rules do not settle, the integrand has a steep step: split there.
 _RUNGS = (
     *(Rule(n, FINE.log_drop) for n in (14, 24, 48, 96)),
-    *(Rule(n, FINE.log_drop, split=True) for n in (24, 48, 96)),
+    # a panel of 24 nodes would be coarser than the rung before, and agree with it too early
+    *(Rule(n, FINE.log_drop, split=True) for n in (48, 96)),
 )
 _AGREEMENT = 1e-6
 _LAST_AGREEMENT = 1e-4
 _MAX_RESIDUAL = 1e-3  # of a saddle point that still tells where the mass is
 _MAX_TENSOR_DIMENSION = 3
+_FEW_STEPS = 4  # of Newton: only the place of fixed nodes hangs on them
+_STEP_REACH = 7.0  # standard deviations of a later link: beyond, 1e-12 is left of its step
 _SOBOL_SEED = 20170611  # fixed: the same box gives the same bits
 _SOBOL_LOG2 = 15  # 8 x 4096 points
 _MAX_NUMBERS = 200_000  # in one array of nodes: what the cache holds
@@ -100,9 +103,10 @@ def tensor_nodes(chain: Chain, tilting: Tilting, rule: Rule) -> Nodes:
 
 
 def _steps(chain: Chain, tilting: Tilting, points: FloatArray, i: int) -> FloatArray:
-    """Where in link i (B, n, m) the intervals of later links begin and end.
+    """Offsets (B, n, m) between which the sides of later links' intervals are passed by.
 
-    Links between are taken at the saddle point.
+    Links between are taken at the saddle point. A later link is standard normal, so its
+    probability rises over `_STEP_REACH` on both sides of where its mean meets the limit.
     """
     steps = []
     for j in range(i + 1, chain.shape[1]):
@@ -113,7 +117,9 @@ def _steps(chain: Chain, tilting: Tilting, points: FloatArray, i: int) -> FloatA
         slope = chain.coupling[:, j, i, None]
         for side in (chain.lower[:, j], chain.upper[:, j]):
             gap = (side - between)[:, None] - before
-            steps.append(np.divide(gap, slope, out=np.full_like(gap, np.inf), where=slope != 0.0))
+            for end in (gap - _STEP_REACH, gap + _STEP_REACH):
+                far = np.full_like(gap, np.inf)
+                steps.append(np.divide(end, slope, out=far, where=slope != 0.0))
     return np.stack(steps, axis=-1)
 
 
@@ -152,7 +158,7 @@ def _sobol(d: int, log2_points: int) -> FloatArray:
 
 def fixed_nodes(chain: Chain, rule: Rule, log2_points: int) -> Nodes:
     """Nodes of a fixed number, unchecked: for optimisers, which check their answer in the end."""
-    tilting = saddle_points(chain)
+    tilting = saddle_points(chain, _FEW_STEPS)
     if chain.shape[1] <= _MAX_TENSOR_DIMENSION:
         return tensor_nodes(chain, tilting, rule)
     return sobol_nodes(chain, tilting, log2_points)
@@ -196,8 +202,8 @@ def refined_nodes(chain: Chain) -> Iterator[tuple[IntArray, Nodes]]:
 
 
 def _n_nodes(rule: Rule, d: int) -> int:
-    """Nodes of a box: of link i, with a panel more for each side of each later link."""
-    panels = (1 + 2 * (d - 1 - i) if rule.split else 1 for i in range(d - 1))
+    """Nodes of a box: of link i, with two panels more for each side of each later link."""
+    panels = (1 + 4 * (d - 1 - i) if rule.split else 1 for i in range(d - 1))
     return math.prod(rule.n * n for n in panels)
 
 

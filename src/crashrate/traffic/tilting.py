@@ -170,7 +170,7 @@ def _swap_links(j: int, pick: IntArray, arrays: Sequence[npt.NDArray[Any]]) -> N
         rows[boxes, j], rows[boxes, pick] = rows[boxes, pick], rows[boxes, j].copy()
 
 
-def saddle_points(chain: Chain) -> Tilting:
+def saddle_points(chain: Chain, max_steps: int = _MAX_NEWTON) -> Tilting:
     """The saddle point of psi for every chain, by Newton's method with step halving.
 
     A step is good when the next one, foreseen with the same Hessian, is shorter: unlike the norm
@@ -183,7 +183,7 @@ def saddle_points(chain: Chain) -> Tilting:
     state = np.hstack([_expected(chain)[:, : d - 1], np.zeros((n_boxes, d - 1))])
     gradient, hessian, psi = _psi(chain, state)
     active = np.flatnonzero(np.abs(gradient).max(axis=1, initial=0.0) > _TOLERANCE)
-    for _ in range(_MAX_NEWTON):
+    for _ in range(max_steps):
         if not len(active):
             break
         step = np.asarray(

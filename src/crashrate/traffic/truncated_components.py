@@ -10,7 +10,7 @@ from crashrate.traffic.information import (
     link_information,
 )
 from crashrate.traffic.natural import expectations, gaussian_log_partition, precisions_of
-from crashrate.traffic.one_dimension import COARSE, interval_moments
+from crashrate.traffic.one_dimension import COARSE, Rule, interval_moments
 from crashrate.traffic.quadrature import fixed_nodes
 from crashrate.traffic.tilting import Chain, chains
 from crashrate.traffic.truncated_normal import chain_moments, from_chain, placed_factor
@@ -24,10 +24,11 @@ _MIN_LOG_MASS = -690.0
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Sides (d,) of the truncation in the coordinates of the fit."""
+    """Sides (d,) of the truncation in the coordinates of the fit, and how finely to integrate."""
 
     lower: FloatArray
     upper: FloatArray
+    rule: Rule = COARSE
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,7 @@ def components_at(theta: FloatArray, box: Box) -> Components:
     prior_information = gaussian_information(placed_factor(chain), means)
     prior_log_partition = gaussian_log_partition(means, covariances)
     if chain.n_bounded():
-        log_masses, box_means, box_covariances, information = _on_box(chain, means)
+        log_masses, box_means, box_covariances, information = _on_box(chain, means, box.rule)
     else:
         log_masses, box_means, box_covariances = np.zeros(len(theta)), means, covariances
         information = prior_information
@@ -120,11 +121,11 @@ def components_at(theta: FloatArray, box: Box) -> Components:
 
 
 def _on_box(
-    chain: Chain, means: FloatArray
+    chain: Chain, means: FloatArray, rule: Rule
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Log masses, means, covariances and information of the normals on the box."""
-    nodes = fixed_nodes(chain, COARSE, _LOG2_POINTS)
-    last = interval_moments(nodes.lower, nodes.upper, COARSE)
+    nodes = fixed_nodes(chain, rule, _LOG2_POINTS)
+    last = interval_moments(nodes.lower, nodes.upper, rule)
     z_mean, z_covariance = chain_moments(nodes, last)
     box_means, box_covariances = from_chain(chain, means, z_mean, z_covariance)
     mapped = feature_map(placed_factor(chain), box_means)
