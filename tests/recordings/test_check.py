@@ -1,6 +1,7 @@
 """All parts together, on events drawn from a known law: quiet where the model is right."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from crashrate.recordings.replay import Replay
 N = 20_000
 P = norm.sf(4.5)
 QUANTITIES = (Quantity("a", "", lambda x: x[:, 0], 1.0),)
-ANSWER = SimpleNamespace(interval=(0.9 * P, 1.1 * P), traffic_range=None)
+ANSWER = SimpleNamespace(interval=(0.9 * P, 1.1 * P), traffic_range=None, alarms=())
 
 
 def found(known, model, seed=0, replay=None):
@@ -26,7 +27,8 @@ def found(known, model, seed=0, replay=None):
         known["comparison"](model, events, seed), QUANTITIES, replay or Replay(N, 10, 0, 0, ()),
         said.append,
     )  # fmt: skip
-    assert len(said) == 4
+    assert len(said) == 6
+    assert got.failed == {}
     return got
 
 
@@ -56,14 +58,15 @@ def test_a_tail_too_heavy_is_seen_on_the_ladder(heavy):
 
 
 def test_an_answer_that_events_exclude_is_seen(right):
-    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=None)
+    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=None, alarms=())
+    right = replace(right, ladder=None)
     raised = right.alarms(answer)
     assert {Alarm.REPLAY_DISAGREES, Alarm.EXTREMES_DISAGREE} <= set(raised)
 
 
 def test_the_range_of_traffic_models_counts_as_claimed(right):
     members = TrafficRange((P, P, 0.015, 0.02), (P / 10, P / 10, 0.001, 0.001))
-    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=members)
+    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=members, alarms=())
     assert Alarm.REPLAY_DISAGREES not in right.alarms(answer)
 
 
@@ -102,11 +105,52 @@ def test_survives_a_file(right):
 
 
 def test_without_severity_there_is_no_ladder(known):
-    from dataclasses import replace
-
     model = known["normal"]()
     c = replace(known["comparison"](model, model.sample(2000, 0)), severity=None)
     got = check(c, (), Replay(2000, 10, 0, 0, ()))
     assert got.ladder is None
     assert got.extremes is None
     assert got.influential is not None
+
+
+def test_without_an_order_extremes_raise_nothing(right):
+    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=None, alarms=(Alarm.NO_ORDER,))
+    assert Alarm.EXTREMES_DISAGREE not in replace(right, ladder=None).alarms(answer)
+
+
+def test_a_part_that_fails_takes_no_other_with_it(known, monkeypatch):
+    from crashrate.recordings import check as module
+
+    def fail(*_):
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(module, "alternatives", fail)
+    got = found_anyhow(known)
+    assert got.failed == {"other laws of traffic": "singular"}
+    assert got.ladder is not None
+    assert got.influential is not None
+    assert Check.from_dict(json.loads(json.dumps(got.to_dict()))).failed == got.failed
+
+
+def found_anyhow(known, x=None):
+    model = known["normal"]()
+    events = model.sample(2000, 0) if x is None else x
+    return check(known["comparison"](model, events), QUANTITIES, Replay(len(events), 10, 0, 0, ()))
+
+
+@pytest.mark.parametrize("kind", ["ties at the top", "integers", "two equal columns", "sixty"])
+def test_awkward_events_are_compared(known, kind):
+    x = np.array(known["normal"]().sample(2000, 0))
+    if kind == "ties at the top":
+        x[:, 0] = np.minimum(x[:, 0], 1.5)
+    elif kind == "integers":
+        x = np.round(x)
+    elif kind == "two equal columns":
+        x[:, 1] = x[:, 0] = np.abs(x[:, 0])
+    else:
+        x = x[:60]
+    got = found_anyhow(known, x)
+    assert got.failed == {}
+    assert len(got.rivals) == 2
+    # whatever else they are, these are no recordings of that model: but sixty of them are
+    assert kind != "sixty" or set(got.alarms(ANSWER)) <= {Alarm.FEW_EVENTS_DECIDE}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import genpareto
+from scipy.stats import genpareto, norm
 
 from crashrate.recordings.extremes import MIN_EXCEEDANCES, Extremes, extremes
 
@@ -37,8 +37,27 @@ def test_a_law_that_ends_before_a_crash_gives_next_to_nothing():
     assert got.interval[0] == 0.0
 
 
+@pytest.mark.parametrize("level", [2.7, 3.2])
+def test_events_that_crash_count_as_crashes_however_deep(level):
+    """Recorded crashes among the exceedances: censored, the interval still covers."""
+    truth, held = norm.sf(level), 0
+    for seed in range(30):
+        a = np.random.default_rng(seed).normal(size=10_000)
+        margins = np.sort(np.log(level / np.maximum(a, 1e-9)))[:600]
+        low, high = extremes(margins, 10_000).interval
+        held += low <= truth <= high
+        assert high > 1.2 * low
+    assert held >= 25
+
+
 def test_too_few_events_say_nothing():
     assert extremes(np.linspace(0.1, 1, MIN_EXCEEDANCES), 1000) is None
+    assert extremes(np.linspace(0.1, 1, 200), 20 * MIN_EXCEEDANCES - 20) is None  # a larger part
+
+
+def test_where_crashes_are_common_nothing_is_extreme():
+    margins = np.concatenate([np.full(100, -0.1), np.linspace(0.1, 1, 400)])
+    assert extremes(margins, 10_000) is None
 
 
 def test_events_that_all_crash_say_nothing():

@@ -19,7 +19,17 @@ def inside(tail):
 
 
 def test_right_model_expects_what_is_seen():
-    assert np.mean([inside(found(seed)) for seed in range(40)]) > 0.88  # of 95 %, draws' noise in
+    share = np.mean([inside(found(seed)) for seed in range(60)])
+    assert 0.92 < share < 0.995
+
+
+def test_as_many_draws_as_events_widen_the_range():
+    rng = np.random.default_rng(0)
+    shares = []
+    for _ in range(40):
+        events, draws = rng.normal(size=(2, 20_000, 1))
+        shares.append(inside(tail_of(A, events, draws)))
+    assert np.mean(shares) > 0.92
 
 
 def test_tail_too_light_is_seen():

@@ -32,17 +32,20 @@ def test_figures_of_the_recorded_lane_changes():
 
 def test_events_left_in_doubt_count_in_the_upper_end_alone():
     h = np.array([0.9, 0.8, 0.7, 1e-9, 0.0])
+    outcomes = np.array([1.0, np.nan, np.nan, np.nan, np.nan])  # failed, not simulated, settled
+    failed = np.array([False, True, False, False, False])
     rows = np.array([10, 11, 12, 13, 14])
-    got = replayed(h, np.array([0, 1]), np.array([1.0, np.nan]), rows, 0.95)
-    assert (got.n_simulated, got.n_crashes, got.n_open) == (2, 1, 2)  # failed, not simulated
+    got = replayed(h, outcomes, rows, failed=failed, n_runs=2, confidence=0.95)
+    assert (got.n_simulated, got.n_crashes, got.n_open) == (2, 1, 2)
     assert got.crashing == (11,)  # counted from 1
-    assert got.probability == 0.2
+    assert got.probability == pytest.approx((1 + 0.8 + 0.7) / 5)
     low, high = got.interval
     assert low == pytest.approx(binomtest(1, 5).proportion_ci(0.95).low)
     assert high == pytest.approx(binomtest(3, 5).proportion_ci(0.95).high)
+    assert "give about 5.0e-01" in got.sentence()
     assert "2 in doubt" in got.sentence()
 
 
 def test_survives_a_file():
-    replay = Replay(100, 10, 1, 2, (4, 7), 0.9)
+    replay = Replay(100, 10, 1, 2, (4, 7), 0.5, 0.9)
     assert Replay.from_dict(replay.to_dict()) == replay

@@ -38,8 +38,8 @@ def test_a_crash_that_is_none_at_a_higher_level_does_not_count():
 
 def test_critical_factor_is_where_the_crash_begins():
     x = np.column_stack([np.zeros(3), [20.0, 5.0, 2.5]])
-    found = CLOSING.critical_factors(x, crash, 0.2, 10.0)
-    assert found == pytest.approx([0.5, 2.0, 4.0], rel=1e-3)
+    found = CLOSING.critical_factors(x, crash, 10.0)
+    assert found == pytest.approx([1.0, 2.0, 4.0], rel=1e-3)  # the first crashes as it is
 
 
 @pytest.mark.parametrize(

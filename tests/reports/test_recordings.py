@@ -26,7 +26,8 @@ TAIL = Tail("TTC", "s", -1.0, (10, 100), (1.6, 2.7), (12.6, 140.0), (4.8, 81.4),
 
 def found(ladder):
     return Check(
-        Replay(157_757, 10, 1, 0, (136_426,)), ladder, Extremes(1e-6, (0.0, 9e-6), -0.1, 250, 2.0),
+        Replay(157_757, 10, 1, 0, (136_426,)), ladder,
+        Extremes(1e-6, (0.0, 9e-6), (0.0, 1e-5), -0.1, 250, 2.0),
         (TAIL,), Influential((EVENT,), 0.63, 0.26, 0),
         (Rival("independent marginals", 522_221.0, 2.5e-4, 1e-6, BARE),), 11_703,
     )  # fmt: skip

@@ -1,12 +1,14 @@
 """A run with its recordings: replayed once, remembered, and compared; the answer never lost."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from crashrate.errors import NumericalError, ScenarioError
+from crashrate.errors import NumericalError, ScenarioError, SimulationError
 from crashrate.events import EventTable
+from crashrate.recordings import check
 from crashrate.runs import runner
 from crashrate.runs.record import load_run
 from crashrate.runs.scenario import Scenario
@@ -112,16 +114,55 @@ def test_interrupted_replay_goes_on(go, tmp_path, vehicle):
     assert recordings(tmp_path / "run") == recordings(tmp_path / "probe")
 
 
-def test_a_check_that_fails_does_not_lose_the_answer(go, tmp_path, monkeypatch):
-    def fail(*_, **__):
+def test_a_part_that_fails_is_told_and_loses_nothing(go, tmp_path, monkeypatch):
+    def fail(*_):
         raise NumericalError("the information is no matrix")
 
-    monkeypatch.setattr(runner, "check_recordings", fail)
-    with pytest.warns(UserWarning, match="could not be compared: the information"):
+    monkeypatch.setattr(check, "influential", fail)
+    with pytest.warns(UserWarning, match="influence: the information is no matrix"):
+        go(tmp_path / "run")
+    found = recordings(tmp_path / "run")
+    assert found["influence"] is None
+    assert found["failed"] == {"influence": "the information is no matrix"}
+    assert found["replay"]["n_events"] == N
+
+
+def test_a_simulator_that_raises_on_an_event_leaves_it_in_doubt(go, tmp_path, vehicle):
+    go(tmp_path / "probe")
+    batches = vehicle.n_batches
+    vehicle.n_batches = 0
+    vehicle.trouble[batches] = SimulationError("licence lost")
+    with pytest.warns(UserWarning, match="replaying the recordings stopped: licence lost"):
         estimate = go(tmp_path / "run")
-    assert json.loads((tmp_path / "run" / "result.json").read_text())["probability"] == (
-        estimate.probability
-    )
+    found = recordings(tmp_path / "run")
+    assert found["replay"]["n_open"] > 0
+    assert found["influence"] is not None
+    vehicle.trouble.clear()
+    assert go(tmp_path / "run").probability == estimate.probability
+    assert recordings(tmp_path / "run") == recordings(tmp_path / "probe")
+
+
+def test_what_was_found_stays_while_the_answer_does(go, scenario, rare, tmp_path):
+    go(tmp_path / "run")
+    before = json.loads((tmp_path / "run" / "result.json").read_text())
+    runner.run(scenario, rare, tmp_path / "run", seed=1, max_calls=200)  # without the events
+    assert json.loads((tmp_path / "run" / "result.json").read_text()) == before
+    runner.run(scenario, rare, tmp_path / "run", seed=1, relative_half_width=0.005, max_calls=400)
+    assert "recordings" not in json.loads((tmp_path / "run" / "result.json").read_text())
+
+
+def test_equal_events_share_a_simulator_run(go, tmp_path, vehicle, events):
+    worst = np.argsort(events.values.sum(axis=1))[-40:]
+    values = np.array(events.values)
+    values[worst] = values[worst[-1]]  # forty times the most dangerous
+    calls = go(tmp_path / "probe").n_calls
+    vehicle.n_runs = 0
+    go(tmp_path / "run", events=replace(events, values=values), replay_calls=15)
+    replay = recordings(tmp_path / "run")["replay"]
+    assert replay["n_simulated"] == vehicle.n_runs - calls <= 15
+    assert replay["n_open"] == 0
+    crashes = bool(values[worst[-1]].sum() > 1.0)
+    assert replay["n_crashes"] == 40 * crashes
 
 
 def with_severity(scenario, text):
@@ -141,7 +182,7 @@ def test_declared_severity_makes_a_ladder(scenario, rare, events, tmp_path):
 def test_severity_that_breaks_an_event_is_refused_before_any_run(
     scenario, rare, events, tmp_path, vehicle
 ):
-    broken = with_severity(scenario, 'a = "a / (severity - 1)"')
+    broken = with_severity(scenario, 'a = "0.3 * a / (1.3 - severity)"')
     with pytest.raises(
         ScenarioError, match=r"\[severity\]: expected finite numbers, got inf for a"
     ):
@@ -174,3 +215,16 @@ def test_closing_variable_is_multiplied_by_default():
         assert list(found.severity.changed) == [variable]
         worse = found.severity(np.array([[20.0, 0.02, 3.0]]), 2.0)
         assert worse.tolist() == [[20.0, 0.02, 6.0]]
+
+
+def test_severity_of_one_must_change_nothing(scenario, rare, events, tmp_path, vehicle):
+    worse = with_severity(scenario, 'a = "a * severity + 1"')
+    with pytest.raises(ScenarioError, match="expected an event as it was recorded at severity 1"):
+        runner.run(worse, rare, tmp_path / "run", seed=1, events=events)
+    assert vehicle.n_runs == 0
+
+
+def test_severity_beyond_arithmetic_for_some_draws_is_no_crash(scenario, rare, events, tmp_path):
+    odd = with_severity(scenario, 'b = "sqrt(b + 6) * severity - sqrt(b + 6) + b"')
+    runner.run(odd, rare, tmp_path / "run", seed=1, max_calls=200, events=events)
+    assert recordings(tmp_path / "run")["failed"] == {}

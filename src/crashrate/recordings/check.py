@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
+from crashrate.errors import CrashrateError
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.estimate import Estimate
 from crashrate.recordings.comparison import Comparison
 from crashrate.recordings.expectation import Draws
-from crashrate.recordings.extremes import N_EXCEEDANCES, Extremes, extremes
+from crashrate.recordings.extremes import Extremes, extremes
 from crashrate.recordings.influential import Influential, influential
 from crashrate.recordings.ladder import Ladder, ladder
 from crashrate.recordings.near_misses import Quantity, Tail, tails
@@ -21,8 +22,8 @@ from crashrate.traffic.alternatives import alternatives
 from crashrate.variables import FloatArray
 
 DRAWS_PER_EVENT, MAX_DRAWS = 10, 1_000_000
-FACTOR_STEP, MAX_FACTOR, MIN_FACTOR = 1.25, 10.0, 0.2
 Say = Callable[[str], None]
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class Check:
     ladder : Ladder or None
         None where no severity is declared.
     extremes : Extremes or None
-        None where too few events come near a crash.
+        None where too few events come near a crash, or too many crash.
     tails : tuple of Tail
     influential : Influential or None
         None where the model expects no crash in what the campaign learned.
@@ -43,6 +44,8 @@ class Check:
         Other laws of traffic, for comparison.
     n_duplicates : int
         Recorded events that equal an earlier one in every digit.
+    failed : mapping
+        Parts that could not be computed, to why.
     """
 
     replay: Replay
@@ -52,27 +55,40 @@ class Check:
     influential: Influential | None
     rivals: tuple[Rival, ...]
     n_duplicates: int
+    failed: Mapping[str, str] = field(default_factory=dict)
 
     def alarms(self, estimate: Estimate) -> tuple[Alarm, ...]:
         """Doubts that the recordings cast on the estimate."""
-        low, high = _claimed(estimate)
+        claimed = self._claimed(estimate)
+        # without an order what was learned is not to be trusted where events are made worse
+        ordered = not {Alarm.NO_ORDER, Alarm.ORDER_DROPPED} & set(estimate.alarms)
         raised = {
             Alarm.TAIL_MISFIT: self.ladder is not None and self.ladder.misfit,
             Alarm.EXTREMES_DISAGREE: (
-                self.extremes is not None and _apart(self.extremes.interval, (low, high))
+                ordered
+                and self.extremes is not None
+                and _apart(self.extremes.alarm_interval, claimed)
             ),
-            Alarm.REPLAY_DISAGREES: _apart(self.replay.interval, (low, high)),
+            Alarm.REPLAY_DISAGREES: _apart(self.replay.interval, claimed),
             Alarm.FEW_EVENTS_DECIDE: self.influential is not None and self.influential.few,
         }
         return tuple(alarm for alarm, is_raised in raised.items() if is_raised)
 
+    def _claimed(self, estimate: Estimate) -> tuple[float, float]:
+        """The least and the largest probability that answer, fits and learned set allow."""
+        found = estimate.traffic_range
+        allowed = [*estimate.interval, *(() if found is None else found.quantiles)]
+        if self.ladder is not None:
+            allowed.append(self.ladder.expected[0] / self.replay.n_events)
+        known = [value for value in allowed if math.isfinite(value)]
+        return min(known), max(known)
+
     def sentences(self, estimate: Estimate) -> list[str]:
         """What to read below the answer: the replay, and what few events decide."""
         said = estimate.traffic_range is not None and estimate.traffic_range.undetermined
-        own = self.influential
         spoken = [self.replay.sentence()]
-        if own is not None and (own.few or own.open_wide) and not said:
-            spoken.append(own.sentence(self.replay.n_events))
+        if self.influential is not None:
+            spoken += self.influential.sentences(self.replay.n_events, said=said)
         return spoken
 
     def to_dict(self) -> dict[str, Any]:
@@ -85,6 +101,7 @@ class Check:
             "influence": self.influential and self.influential.to_dict(),
             "alternatives": [r.to_dict() for r in self.rivals],
             "n_duplicates": self.n_duplicates,
+            "failed": dict(self.failed),
         }
 
     @classmethod
@@ -99,19 +116,30 @@ class Check:
             Influential.from_dict(own) if own else None,
             tuple(Rival.from_dict(v) for v in values["alternatives"]),
             int(values["n_duplicates"]),
+            dict(values["failed"]),
         )
-
-
-def _claimed(estimate: Estimate) -> tuple[float, float]:
-    """The least and the largest probability that the answer allows."""
-    low, high = estimate.interval
-    found = estimate.traffic_range
-    quantiles = [] if found is None else [q for q in found.quantiles if math.isfinite(q)]
-    return min([low, *quantiles]), max([high, *quantiles])
 
 
 def _apart(a: tuple[float, float], b: tuple[float, float]) -> bool:
     return a[1] < b[0] or b[1] < a[0]
+
+
+class _Parts:
+    """Computes part after part: one that fails takes no other with it, and says why."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self.failed: dict[str, str] = {}
+
+    def get(self, name: str, compute: Callable[[], Part]) -> Part | None:
+        """The part, or None where it cannot be computed."""
+        self._say(f"checking the recordings: {name}")
+        try:
+            return compute()
+        # of the last kind are numpy's linear algebra, and scipy's complaints of data
+        except (CrashrateError, ArithmeticError, ValueError) as error:
+            self.failed[name] = str(error)
+            return None
 
 
 def check(
@@ -129,28 +157,29 @@ def check(
     say : callable
         Told what is being done.
     """
-    say("checking the recordings: severity ladder")
-    modelled = c.traffic.modelled
-    draws = c.draws(modelled.average, 0)
-    ratios = modelled.member_ratios(draws.x) if modelled.members else np.ones((len(draws.x), 1))
-    steps = _ladder(c, draws, ratios) if c.severity else None
-    say("checking the recordings: margins and near misses")
-    near = tails(quantities, c.events.values, _ordinary(c))
-    say("checking the recordings: influence of single events")
-    moved = _influential(c, draws, ratios[:, 0])
-    say("checking the recordings: other laws of traffic")
-    laws = alternatives(c.z, modelled.lower, modelled.upper)
-    rivals = tuple(rival(c, law, 10 * (1 + k)) for k, law in enumerate(laws))
-    return Check(replay, steps, _extremes(c), near, moved, rivals, n_duplicates(c.events.values))
+    parts, model = _Parts(say), c.traffic.modelled
+    draws = parts.get("crashes of the model", lambda: c.draws(model.average, 0))
+    steps = moved = None
+    if draws is not None:
+        ratios = model.member_ratios(draws.x) if model.members else np.ones((len(draws.x), 1))
+        steps = parts.get("severity ladder", lambda: _ladder(c, draws, ratios))
+        moved = parts.get("influence", lambda: _influential(c, draws, ratios[:, 0]))
+    near = parts.get("near misses", lambda: tails(quantities, c.events.values, _ordinary(c)))
+    margins = parts.get("extreme values", lambda: _extremes(c))
+    rivals = parts.get("other laws of traffic", lambda: _rivals(c))
+    duplicates = n_duplicates(c.events.values)
+    return Check(replay, steps, margins, near or (), moved, rivals or (), duplicates, parts.failed)
 
 
-def _ladder(c: Comparison, draws: Draws, ratios: FloatArray) -> Ladder:
-    members = draws.under(ratios) if c.traffic.members else np.empty((0, len(c.levels)))
-    return ladder(c.levels, c.first, draws.probabilities, members, c.rng(2))
+def _ladder(c: Comparison, draws: Draws, ratios: FloatArray) -> Ladder | None:
+    if c.severity is None:
+        return None
+    members = draws.under(ratios) if c.traffic.members else None
+    return ladder(c.levels, c.first, draws, c.rng(2), members)
 
 
 def _ordinary(c: Comparison) -> FloatArray:
-    """Draws of the traffic model, many more than the events."""
+    """Draws of the traffic model, at best ten for each event."""
     n = min(DRAWS_PER_EVENT * len(c.events), MAX_DRAWS)
     return c.traffic.average.sample(n, c.rng(1))
 
@@ -166,16 +195,17 @@ def _influential(c: Comparison, draws: Draws, ratios: FloatArray) -> Influential
 
 
 def _extremes(c: Comparison) -> Extremes | None:
-    """By the severity factors at which the worst events begin to crash."""
+    """By the severity factors, up to the ladder's last, at which events begin to crash."""
     if c.severity is None:
         return None
-    x, factor = c.events.values, c.levels[-1]
-    worst = c.first < len(c.levels)
-    while worst.sum() <= N_EXCEEDANCES and factor < MAX_FACTOR:
-        factor *= FACTOR_STEP
-        worst = c.crashes(c.severity(x, factor))
-    critical = c.severity.critical_factors(x[worst], c.crashes, MIN_FACTOR, factor)
-    return extremes(np.log(critical), len(x))
+    worst = c.events.values[c.first < len(c.levels)]
+    critical = c.severity.critical_factors(worst, c.crashes, c.levels[-1])
+    return extremes(np.log(critical), len(c.events), c.confidence)
+
+
+def _rivals(c: Comparison) -> tuple[Rival, ...]:
+    laws = alternatives(c.z, c.traffic.modelled.lower, c.traffic.modelled.upper)
+    return tuple(rival(c, law, 10 * (1 + k)) for k, law in enumerate(laws))
 
 
 def n_duplicates(x: FloatArray) -> int:

@@ -29,6 +29,8 @@ class Comparison:
         Of the campaign.
     severity : Severity or None
     seed : int
+    confidence : float
+        Of intervals.
     """
 
     events: EventTable
@@ -36,10 +38,19 @@ class Comparison:
     belief: Belief
     severity: Severity | None
     seed: int
+    confidence: float = 0.95
 
     def crashes(self, x: FloatArray) -> BoolArray:
-        """Which situations x (n, d) the campaign takes for crashes."""
-        return self.belief(self.traffic.scales.forward(x)) >= 0.5
+        """Which situations x (n, d) the campaign takes for crashes; none that is no situation.
+
+        Making a draw worse may lead out of arithmetic: what is not finite then, or has no
+        logarithm where one is modelled, is no crash.
+        """
+        scales = self.traffic.scales
+        there = np.isfinite(x).all(axis=1) & ~((x <= 0) & scales.log).any(axis=1)
+        crash = np.zeros(len(x), dtype=bool)
+        crash[there] = self.belief(scales.forward(x[there])) >= 0.5
+        return crash
 
     @cached_property
     def z(self) -> FloatArray:

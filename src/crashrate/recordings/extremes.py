@@ -3,7 +3,8 @@
 The margin of a recorded event is the logarithm of the severity factor at which it begins to crash.
 Margins of the worst events follow a generalised Pareto law (Balkema & de Haan 1974; Pickands 1975),
 whatever the traffic; carried on to margin 0 it gives a crash probability that owes nothing to a
-joint model.
+joint model. Of an event that crashes as it was recorded only that is used: how far beyond a crash
+it lies says nothing of how rare one is.
 """
 
 from collections.abc import Mapping
@@ -17,11 +18,14 @@ from scipy.stats import chi2
 
 from crashrate.variables import FloatArray
 
-N_EXCEEDANCES = 250
-MIN_EXCEEDANCES = 30
-SHAPES = (-2.0, 1.5)
+MOST_EXCEEDANCES, LARGEST_SHARE = 250, 0.05  # a larger part of the events is no tail
+MIN_EXCEEDANCES = 50
+MOST_CRASHES = 0.2  # of the exceedances: where crashes are no rarity, the replay counts them
+# Below -1/2 the likelihood is not regular, below -1 it has no maximum (Smith 1985).
+SHAPES = (-0.5, 1.5)
 IMPOSSIBLE = -1e300  # log likelihood: finite, so that searches can compare
 LEAST_LOG = -70.0  # of the probability that an exceedance reaches a crash: 0 for all purposes
+ALARM_CONFIDENCE = 0.99
 
 
 @dataclass(frozen=True)
@@ -31,11 +35,13 @@ class Extremes:
     Parameters
     ----------
     probability : float
-        Per event; 0 where the fitted law ends before a crash.
+        Per event.
     interval : (float, float)
-        95 %, by profile likelihood.
+        By profile likelihood, at the confidence asked for.
+    alarm_interval : (float, float)
+        Likewise, at 99 %: what it leaves out is refuted.
     shape : float
-        Of the generalised Pareto law: below 0 the margins end somewhere.
+        Of the generalised Pareto law, at least -1/2; below 0 the margins end somewhere.
     n_exceedances : int
         Events it rests on: those of the smallest margins.
     threshold : float
@@ -44,29 +50,54 @@ class Extremes:
 
     probability: float
     interval: tuple[float, float]
+    alarm_interval: tuple[float, float]
     shape: float
     n_exceedances: int
     threshold: float
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""
-        return {
-            "probability": self.probability,
-            "interval": list(self.interval),
-            "shape": self.shape,
-            "n_exceedances": self.n_exceedances,
-            "threshold": self.threshold,
-        }
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Extremes":
         """What `to_dict` wrote."""
-        low, high = values["interval"]
-        return cls(**{**values, "interval": (float(low), float(high))})
+        read: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+        }
+        return cls(**read)
+
+
+@dataclass(frozen=True, eq=False)
+class _Exceedances:
+    """What the worst margins exceed their threshold by; `reach` or more is a crash."""
+
+    inside: FloatArray  # of those that do not crash
+    n_crashes: int
+    reach: float
+
+    def log_likelihood(self, shape: float, log_s: float) -> float:
+        """Of the generalised Pareto law that goes beyond `reach` with probability exp(log_s)."""
+        y, scale = self.inside, _scale(log_s, shape, self.reach)
+        if scale <= 0 or (len(y) and 1 + shape * y.max() / scale <= 0):
+            return IMPOSSIBLE
+        if abs(shape) < 1e-8:
+            inside = -len(y) * np.log(scale) - y.sum() / scale
+        else:
+            inside = -len(y) * np.log(scale) - xlog1py(1 + 1 / shape, shape * y / scale).sum()
+        return float(inside + self.n_crashes * log_s)
+
+    def profile(self, log_s: float) -> tuple[float, float]:
+        """Largest log likelihood given log_s, and the shape that has it."""
+        grid = np.linspace(*SHAPES, 31)
+        values = [self.log_likelihood(k, log_s) for k in grid]
+        return _refined(lambda k: self.log_likelihood(k, log_s), grid, values)
 
 
 def extremes(margins: FloatArray, n_events: int, confidence: float = 0.95) -> Extremes | None:
-    """The crash probability from the smallest margins of n events; None where they are too few.
+    """The crash probability from the smallest margins of n events.
+
+    None where they are too few, or where so many of them crash that none is extreme.
 
     Parameters
     ----------
@@ -74,33 +105,29 @@ def extremes(margins: FloatArray, n_events: int, confidence: float = 0.95) -> Ex
         Of the k events of the smallest margins; a crash has one of 0 or less.
     n_events : int
     confidence : float
+        Of `interval`.
     """
     ordered = np.sort(margins)
-    n = min(N_EXCEEDANCES, len(ordered) - 1)
+    n = min(MOST_EXCEEDANCES, int(LARGEST_SHARE * n_events), len(ordered) - 1)
     if n < MIN_EXCEEDANCES or not ordered[n] > 0:
         return None
-    threshold = float(ordered[n])
-    fall = threshold - ordered[:n]  # exceedances of -margin over -threshold, crash at `threshold`
-    share = n / n_events
-    best = _most_likely(fall, threshold)
-    cut = best[1] - 0.5 * float(chi2.ppf(confidence, 1))
-    low, high = _ends(fall, threshold, best[0], cut)
+    threshold, share = float(ordered[n]), n / n_events
+    safe = ordered[:n][ordered[:n] > 0]
+    if n - len(safe) > MOST_CRASHES * n:
+        return None
+    seen = _Exceedances(threshold - safe, n - len(safe), threshold)
+    grid = np.concatenate([np.linspace(LEAST_LOG, -16, 19), np.linspace(-15, -0.02, 61)])
+    top, best = _refined(lambda g: seen.profile(g)[0], grid, [seen.profile(g)[0] for g in grid])
+    sides = [_ends(seen, best, top, level) for level in (confidence, ALARM_CONFIDENCE)]
+    own, alarm = ((share * low, share * high) for low, high in sides)
     return Extremes(
-        share * float(np.exp(best[0])),
-        (share * low, share * high),
-        _profile(best[0], fall, threshold)[1],
+        share * float(np.exp(best)) if best > LEAST_LOG + 1 else 0.0,
+        own,
+        alarm,
+        seen.profile(best)[1],
         n,
         float(np.exp(threshold)),
     )
-
-
-def _log_likelihood(shape: float, scale: float, y: FloatArray) -> float:
-    """Of the generalised Pareto law at exceedances y."""
-    if scale <= 0 or 1 + shape * y.max() / scale <= 0:
-        return IMPOSSIBLE
-    if abs(shape) < 1e-8:
-        return float(-len(y) * np.log(scale) - y.sum() / scale)
-    return float(-len(y) * np.log(scale) - xlog1py(1 + 1 / shape, shape * y / scale).sum())
 
 
 def _scale(log_s: float, shape: float, reach: float) -> float:
@@ -110,39 +137,24 @@ def _scale(log_s: float, shape: float, reach: float) -> float:
     return float(shape * reach / np.expm1(-shape * log_s))
 
 
-def _profile(log_s: float, y: FloatArray, reach: float) -> tuple[float, float]:
-    """Largest log likelihood given log_s, and the shape that has it."""
-    grid = np.linspace(*SHAPES, 36)
-    values = [_log_likelihood(k, _scale(log_s, k, reach), y) for k in grid]
+def _refined(value: Any, grid: FloatArray, values: list[float]) -> tuple[float, float]:
+    """The largest value between the neighbours of the best of a grid, and where it is."""
     top = int(np.argmax(values))
     sides = grid[max(top - 1, 0)], grid[min(top + 1, len(grid) - 1)]
-    found = minimize_scalar(
-        lambda k: -_log_likelihood(k, _scale(log_s, k, reach), y), bounds=sides, method="bounded"
-    )
+    found = minimize_scalar(lambda v: -value(v), bounds=sides, method="bounded")
     if -found.fun >= values[top]:
         return float(-found.fun), float(found.x)
     return float(values[top]), float(grid[top])
 
 
-def _most_likely(y: FloatArray, reach: float) -> tuple[float, float]:
-    """The likeliest log probability of reaching a crash, and its log likelihood."""
-    grid = np.concatenate([np.linspace(LEAST_LOG, -16, 19), np.linspace(-15, -0.05, 61)])
-    values = [_profile(g, y, reach)[0] for g in grid]
-    top = int(np.argmax(values))
-    sides = grid[max(top - 1, 0)], grid[min(top + 1, len(grid) - 1)]
-    found = minimize_scalar(lambda g: -_profile(g, y, reach)[0], bounds=sides, method="bounded")
-    if -found.fun >= values[top]:
-        return float(found.x), float(-found.fun)
-    return float(grid[top]), values[top]
-
-
-def _ends(y: FloatArray, reach: float, best: float, cut: float) -> tuple[float, float]:
-    """Where the profile falls to `cut`, either side of the best."""
+def _ends(seen: _Exceedances, best: float, top: float, confidence: float) -> tuple[float, float]:
+    """Where the profile falls short of its top by the likelihood ratio, either side."""
+    cut = top - 0.5 * float(chi2.ppf(confidence, 1))
 
     def above(log_s: float) -> float:
-        return _profile(log_s, y, reach)[0] - cut
+        return seen.profile(log_s)[0] - cut
 
+    last = -1e-6
     low = 0.0 if above(LEAST_LOG) >= 0 else float(np.exp(brentq(above, LEAST_LOG, best, xtol=1e-3)))
-    top = -1e-6
-    high = 1.0 if above(top) >= 0 else float(np.exp(brentq(above, best, top, xtol=1e-3)))
+    high = 1.0 if above(last) >= 0 else float(np.exp(brentq(above, best, last, xtol=1e-3)))
     return low, high

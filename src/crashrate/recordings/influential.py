@@ -12,6 +12,8 @@ from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
 N_LISTED, N_FEW, FEW_SHARE = 10, 5, 0.5
+LEAST_ERROR = 0.2  # where the events leave less open than this, nobody minds which they are
+LARGEST_FACTOR = 1000.0
 PRIOR_STRENGTH = 1.0  # of a model that does not say
 
 
@@ -61,21 +63,28 @@ class Influential:
     @property
     def few(self) -> bool:
         """Whether five events carry half of what the events leave open."""
-        return self.share_of_five >= FEW_SHARE
+        return self.share_of_five >= FEW_SHARE and self.relative_error >= LEAST_ERROR
 
     @property
     def open_wide(self) -> bool:
         """Whether the choice of events alone leaves the number open by more than a factor of 2."""
         return self.relative_error > UNDETERMINED
 
-    def sentence(self, n_events: int) -> str:
-        """How far the events leave the number open, in one sentence."""
-        factor = math.exp(1.645 * self.relative_error)
-        return (
-            "influence: the events do not determine this number better than a factor "
-            f"{factor:.1f} either way; five of {n_events:,} carry "
-            f"{100 * self.share_of_five:.0f} % of that variance"
-        )
+    def sentences(self, n_events: int, *, said: bool) -> list[str]:
+        """What a reader must know of this; `said`: that the number is left open."""
+        found = []
+        if self.open_wide and not said:
+            factor = math.exp(min(1.645 * self.relative_error, math.log(LARGEST_FACTOR)))
+            found.append(
+                "influence: the choice of events alone leaves this number open by a factor "
+                f"{factor:.1f} either way{' or more' if factor >= LARGEST_FACTOR * 0.999 else ''}"
+            )
+        if self.few:
+            found.append(
+                f"influence: five of {n_events:,} events carry {100 * self.share_of_five:.0f} % "
+                "of the variance that the choice of events leaves"
+            )
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""

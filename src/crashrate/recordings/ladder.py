@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import xlogy
 
+from crashrate.recordings.expectation import Draws
 from crashrate.variables import FloatArray
 
 MISFIT = 0.01  # the alarm's level
@@ -75,9 +76,9 @@ class Ladder:
 def ladder(
     levels: tuple[float, ...],
     first: np.ndarray,
-    masses: FloatArray,
-    member_masses: FloatArray,
+    draws: Draws,
     rng: np.random.Generator,
+    members: FloatArray | None = None,
 ) -> Ladder:
     """Compare events with a model, set by set.
 
@@ -86,28 +87,41 @@ def ladder(
     levels : tuple of float, length J
     first : int array (n,)
         The level at which each event first crashes, J for none.
-    masses : ndarray (J,)
-        Probability of each under the model.
-    member_masses : ndarray (M, J)
-        And under its members.
+    draws : Draws
+        Of the model in the sets: give the expected counts, and their errors.
     rng : Generator
         Simulates the deviance's law.
+    members : ndarray (M, J), optional
+        Probabilities of the sets under the model's members.
     """
     n, j = len(first), len(levels)
     counts = np.bincount(first, minlength=j + 1)[:j].astype(float)
-    expected = n * masses
-    value = float(deviance(counts, expected))
-    by_chance = deviance(rng.poisson(expected, (N_SIMULATED, j)).astype(float), expected)
-    low, high = _range(n * np.cumsum(member_masses, axis=1))
+    met = draws.probabilities > 0  # of a set that no draw met nothing is known but that it is rare
+    expected, errors = n * draws.probabilities[met], n * draws.standard_errors[met]
+    value = float(deviance(counts[met], expected))
+    by_chance = deviance(_counts(expected, errors, rng), expected)
+    low, high = _range(n * np.cumsum(np.empty((0, j)) if members is None else members, axis=1))
     return Ladder(
         levels,
         tuple(int(c) for c in np.cumsum(counts)),
-        tuple(np.cumsum(expected).tolist()),
+        tuple(np.cumsum(n * draws.probabilities).tolist()),
         low,
         high,
         value,
         float((1 + np.count_nonzero(by_chance >= value)) / (1 + N_SIMULATED)),
     )
+
+
+def _counts(expected: FloatArray, errors: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Counts (N, J) as they would come from a right model, whose expectation is known to errors.
+
+    A Gamma law of the true expectation: without it a table of a million events would refute any
+    model by the errors of its own integral.
+    """
+    relative = np.maximum(errors / expected, 1e-6)
+    shape = (N_SIMULATED, len(expected))
+    truth = expected * rng.gamma(relative**-2, relative**2, shape)
+    return np.asarray(rng.poisson(truth), dtype=np.float64)
 
 
 def deviance(counts: FloatArray, expected: FloatArray) -> FloatArray:

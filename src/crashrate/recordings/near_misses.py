@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv
+from scipy.stats import nbinom
 
 from crashrate.variables import FloatArray
 
@@ -86,8 +86,10 @@ def tail_of(quantity: Quantity, events: FloatArray, draws: FloatArray) -> Tail:
     levels = [float(seen[rank - 1]) for rank in ranks]
     beyond = [np.searchsorted(-drawn, -level, side="right") for level in levels]
     every = len(events) / len(drawn)
+    # beyond the event of rank r the model expects a Gamma(r) number, of which draws see a Poisson
+    # one: negative binomial together
     low, high = (
-        tuple(float(gammaincinv(rank, q)) for rank in ranks)
+        tuple(float(nbinom.ppf(q, rank, every / (1 + every))) * every for rank in ranks)
         for q in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
     )
     return Tail(

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from crashrate.variables import FloatArray
+from crashrate.variables import BoolArray, FloatArray
 
 DOUBT = 1e-3  # an event that crashes with less than this, as learned, counts as safe ...
 LEAST = 10  # ... but so many of the most dangerous are simulated in any case: an audit
+
+IntArray = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -25,11 +27,13 @@ class Replay:
     ----------
     n_events : int
     n_simulated : int
-        Of them; what was learned settles the others.
+        Simulator runs; equal events share one, and what was learned settles the others.
     n_crashes : int
-        Simulated events that crashed.
+        Events that crashed in them.
     n_open : int
         Events in doubt that were not simulated (the budget ended), or whose simulation failed.
+    expected_open : float
+        Crashes among those, by what was learned.
     crashing : tuple of int
         Rows of the crashing events in their file, counted from 1.
     confidence : float
@@ -40,12 +44,13 @@ class Replay:
     n_crashes: int
     n_open: int
     crashing: tuple[int, ...]
+    expected_open: float = 0.0
     confidence: float = 0.95
 
     @property
     def probability(self) -> float:
-        """Share of the events that crash, those in doubt left out."""
-        return self.n_crashes / self.n_events
+        """Share of the events that crash, those in doubt counted by what was learned."""
+        return (self.n_crashes + self.expected_open) / self.n_events
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -59,14 +64,19 @@ class Replay:
 
     def sentence(self) -> str:
         """The replay in one sentence."""
-        low, high = self.interval
+        low, high = (_short(v) for v in self.interval)
         crashes = f"{self.n_crashes} crash{'' if self.n_crashes == 1 else 'es'}"
+        about = "about " if self.n_open else ""
         text = (
-            f"replay: the {self.n_events:,} events themselves give {_short(self.probability)} "
-            f"[{_short(low)}, {_short(high)}] ({crashes}; {self.n_simulated} simulated"
+            f"replay: the {self.n_events:,} events themselves give "
+            f"{about}{_short(self.probability)} [{low}, {high}] "
+            f"({crashes}; {self.n_simulated} simulated"
         )
         if self.n_open:
-            text += f", {self.n_open} in doubt that the upper end counts as crashes"
+            text += (
+                f"; {self.n_open:,} in doubt, which the lower end takes for safe and the upper for "
+                "crashes"
+            )
         return text + ")"
 
     def to_dict(self) -> dict[str, Any]:
@@ -88,24 +98,45 @@ def _short(value: float) -> str:
     return f"{value:.1e}" if value else "0"
 
 
-def to_simulate(h: FloatArray, max_runs: int) -> np.ndarray:
-    """Indices of the events to simulate: those in doubt and a few more, most dangerous first."""
+def to_simulate(h: FloatArray, max_runs: int) -> IntArray:
+    """Indices of the situations to simulate: in doubt, and a few more, most dangerous first."""
     wanted = max(int(np.count_nonzero(h > DOUBT)), LEAST)
     return np.argsort(-h, kind="stable")[: min(wanted, max_runs)]
 
 
 def replayed(
-    h: FloatArray, simulated: np.ndarray, outcomes: FloatArray, rows: np.ndarray, confidence: float
+    h: FloatArray,
+    outcomes: FloatArray,
+    rows: IntArray,
+    *,
+    failed: BoolArray,
+    n_runs: int,
+    confidence: float,
 ) -> Replay:
-    """The replay in which the events `simulated` had `outcomes` (1, 0, or NaN for failed)."""
-    doubt = h > DOUBT
-    doubt[simulated] = np.isnan(outcomes)
-    crashing = simulated[outcomes == 1]
+    """The replay of n events.
+
+    Parameters
+    ----------
+    h : ndarray (n,)
+        Probability that each event crashes, as learned.
+    outcomes : ndarray (n,)
+        1 or 0 where an event was simulated, else NaN.
+    rows : int array (n,)
+        Of the events in their file, counted from 0.
+    failed : bool array (n,)
+        Events whose simulation failed: in doubt, whatever was learned.
+    n_runs : int
+        Simulator runs behind the outcomes.
+    confidence : float
+    """
+    left = np.isnan(outcomes) & ((h > DOUBT) | failed)
+    crashing = np.flatnonzero(outcomes == 1)
     return Replay(
         len(h),
-        len(simulated),
+        n_runs,
         len(crashing),
-        int(np.count_nonzero(doubt)),
+        int(np.count_nonzero(left)),
         tuple(int(row) + 1 for row in np.sort(rows[crashing])),
+        float(h[left].sum()),
         confidence,
     )

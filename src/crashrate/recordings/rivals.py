@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from crashrate.recordings.comparison import Comparison
 from crashrate.recordings.ladder import Ladder, ladder
 from crashrate.traffic.alternatives import CopulaLaw
@@ -47,11 +45,10 @@ def rival(c: Comparison, law: CopulaLaw, stream: int) -> Rival:
     """A law, fitted to the events of a comparison, beside them; random streams from `stream` on."""
     log_likelihood = float(law.log_density(c.z).sum() + c.traffic.scales.log_jacobian(c.z).sum())
     draws = c.draws(law, stream)
-    masses = draws.probabilities
     return Rival(
         law.name,
         -2 * log_likelihood + math.log(len(c.z)) * law.n_parameters,
-        float(masses[0]),
+        float(draws.probabilities[0]),
         float(draws.standard_errors[0]),
-        ladder(c.levels, c.first, masses, np.empty((0, len(c.levels))), c.rng(stream + 1)),
+        ladder(c.levels, c.first, draws, c.rng(stream + 1)),
     )

@@ -84,13 +84,14 @@ class Severity:
         return first
 
     def critical_factors(
-        self, x: FloatArray, crashes: Crashes, low: float, high: float, n_halvings: int = 14
+        self, x: FloatArray, crashes: Crashes, high: float, n_halvings: int = 14
     ) -> FloatArray:
-        """Factor (n,) in [low, high] at which each situation begins to crash, by bisection.
+        """Factor (n,) in [1, high] at which each situation begins to crash, by bisection.
 
-        Of situations that crash at `high`.
+        Of situations that crash at `high`; 1 where one crashes as it is.
         """
-        below, above = np.full(len(x), np.log(low)), np.full(len(x), np.log(high))
+        below, above = np.zeros(len(x)), np.full(len(x), np.log(high))
+        above[crashes(self(x, 1.0))] = 0.0
         for _ in range(n_halvings):
             middle = (below + above) / 2
             there = crashes(self(x, np.exp(middle)))

@@ -80,7 +80,7 @@ def _ways(record: RunRecord, c: Check) -> Sheet:
         "ways",
         "Other ways to the same number",
         _ways_text(c),
-        ("", "Probability", "95 % interval", "BIC", "Ladder"),
+        ("", "Probability", f"{100 * c.replay.confidence:g} % interval", "BIC", "Ladder"),
         tuple(rows),
     )
 
@@ -91,6 +91,8 @@ def _ways_text(c: Check) -> str:
         f"Replay counts the {r.n_events:,} events themselves ({r.n_simulated} of them simulated, "
         "the others settled by what the campaign learned)"
     )
+    if r.n_open:
+        text += f"; {r.n_open:,} of them stay in doubt and count as learned"
     if r.crashing:
         rows = ", ".join(str(row) for row in r.crashing[:20])
         text += f"; row{'s' if len(r.crashing) > 1 else ''} {rows} crash"
@@ -106,6 +108,7 @@ def _ways_text(c: Check) -> str:
         + ". The laws below it are in use elsewhere and stand here for comparison only, fitted "
         "to the same events. “Ladder” is the deviance of the severity ladder with its p-value: "
         "a small p-value means that the law is refuted where crashes come from."
+        + "".join(f" Could not be computed: {part} ({why})." for part, why in c.failed.items())
     )
 
 

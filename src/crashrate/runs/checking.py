@@ -1,16 +1,18 @@
 """After a campaign: replay the recordings, and check the traffic model's tail against them."""
 
+import warnings
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from crashrate.crash_set.order import RiskOrder
-from crashrate.errors import InvalidInputError, ScenarioError
+from crashrate.errors import InvalidInputError, ScenarioError, SimulationError
 from crashrate.events import EventTable
 from crashrate.recordings.check import Check, check
 from crashrate.recordings.comparison import Comparison
 from crashrate.recordings.replay import Replay, replayed, to_simulate
+from crashrate.recordings.severity import Severity
 from crashrate.runs.quantities import quantities
 from crashrate.runs.scenario import Scenario
 from crashrate.runs.store import Batch, RunStore, blob
@@ -47,6 +49,7 @@ def require_severity(scenario: Scenario, events: EventTable) -> None:
     severity = scenario.severity
     if severity is None:
         return
+    _require_nothing_at_1(scenario, severity, events)
     for level in severity.levels:
         worse = severity(events.values, level)
         bad = np.argwhere(~np.isfinite(worse))
@@ -60,6 +63,18 @@ def require_severity(scenario: Scenario, events: EventTable) -> None:
         _require_coordinates(scenario, worse, level)
 
 
+def _require_nothing_at_1(scenario: Scenario, severity: Severity, events: EventTable) -> None:
+    same = np.isclose(severity(events.values, 1.0), events.values, rtol=1e-9)
+    if not same.all():
+        i, j = (int(v) for v in np.argwhere(~same)[0])
+        raise ScenarioError(
+            f"{scenario.name}.toml, [severity]: expected an event as it was recorded at severity "
+            f"1, got {severity(events.values[i : i + 1], 1.0)[0, j]:g} in place of "
+            f"{events.values[i, j]:g} for {events.names[j]} of event {int(events.rows[i]) + 1}; "
+            f"write it so that 1 changes nothing, such as {events.names[j]} * severity."
+        )
+
+
 def _require_coordinates(scenario: Scenario, worse: FloatArray, level: float) -> None:
     risk = scenario.risk_mapping()
     try:
@@ -71,29 +86,52 @@ def _require_coordinates(scenario: Scenario, worse: FloatArray, level: float) ->
         ) from error
 
 
-def check_recordings(
-    sitting: Sitting, c: Comparison, *, max_calls: int, confidence: float, say: Say
-) -> Check:
+def check_recordings(sitting: Sitting, c: Comparison, *, max_calls: int, say: Say) -> Check:
     """Replay the events, up to `max_calls` of them simulated and stored, and check the tail."""
     say("replaying the recordings")
-    replay = _replay(sitting, c, max_calls, confidence)
+    replay = _replay(sitting, c, max_calls)
     return check(c, quantities(sitting.scenario, sitting.simulate), replay, say)
 
 
-def _replay(sitting: Sitting, c: Comparison, max_calls: int, confidence: float) -> Replay:
-    h = c.belief(c.z)
-    chosen = to_simulate(h, max_calls)
-    outcomes = _outcomes(sitting, c.events.values[chosen])
-    return replayed(h, chosen, outcomes, c.events.rows, confidence)
+def _replay(sitting: Sitting, c: Comparison, max_calls: int) -> Replay:
+    """Simulate what is in doubt; equal events share a simulator run and its outcome."""
+    h, x = c.belief(c.z), c.events.values
+    _, first, same = np.unique(x, axis=0, return_index=True, return_inverse=True)
+    chosen = to_simulate(h[first], max_calls)
+    known = _outcomes(sitting, x[first[chosen]])
+    outcomes, failed = np.full(len(first), np.nan), np.zeros(len(first), dtype=bool)
+    for i in chosen:
+        outcome = known.get(blob(x[first[i]]))
+        if outcome is not None:
+            outcomes[i], failed[i] = outcome, np.isnan(outcome)
+    same = same.ravel()
+    return replayed(
+        h,
+        outcomes[same],
+        c.events.rows,
+        failed=failed[same],
+        n_runs=sum(blob(x[first[i]]) in known for i in chosen),
+        confidence=c.confidence,
+    )
 
 
-def _outcomes(sitting: Sitting, x: FloatArray) -> FloatArray:
-    """Outcomes (n,) of recorded events, each simulated once however often it was recorded."""
+def _outcomes(sitting: Sitting, x: FloatArray) -> dict[bytes, float]:
+    """Outcomes by situation, those of x (n, d) among them unless the simulator raises.
+
+    The answer of the campaign stands whatever happens here.
+    """
     known = sitting.store.replays()
-    new = np.array([row for row in np.unique(x, axis=0) if blob(row) not in known])
-    for start in range(0, len(new), BATCH):
-        rows = new[start : start + BATCH]
-        batch = Batch(rows, sitting.simulated(rows))
-        sitting.store.add_replays(batch)
-        known |= {blob(row): y for row, y in zip(rows, batch.outcomes, strict=True)}
-    return np.array([known[blob(row)] for row in x])
+    new = np.array([row for row in x if blob(row) not in known])
+    try:
+        for start in range(0, len(new), BATCH):
+            rows = new[start : start + BATCH]
+            batch = Batch(rows, sitting.simulated(rows))
+            sitting.store.add_replays(batch)
+            known |= {blob(row): y for row, y in zip(rows, batch.outcomes, strict=True)}
+    except SimulationError as error:
+        warnings.warn(
+            f"replaying the recordings stopped: {error} The answer stands; events that were not "
+            "simulated are in doubt. The same command tries them again.",
+            stacklevel=2,
+        )
+    return known

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from crashrate.errors import NumericalError, SimulationError, StoreError
+from crashrate.errors import SimulationError, StoreError
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.estimate import Estimate, json_ready
 from crashrate.estimation.strategy import Problem
@@ -134,7 +134,7 @@ def run(
         belief = campaign.snapshot.belief
         if events is None or belief is None:
             return estimate
-        comparison = Comparison(events, traffic, belief, scenario.severity, seed)
+        comparison = Comparison(events, traffic, belief, scenario.severity, seed, target.confidence)
         return _checked(sitting, estimate, comparison, replay_calls, say or _say_nothing)
 
 
@@ -239,18 +239,29 @@ def _checked(
     """The estimate with the alarms that the recordings raise; the result written again."""
     from threadpoolctl import threadpool_limits
 
-    confidence = sitting.campaign.problem.confidence
-    try:
-        with threadpool_limits(limits=1):
-            found = check_recordings(
-                sitting, comparison, max_calls=max_calls, confidence=confidence, say=say
-            )
-    except (NumericalError, np.linalg.LinAlgError) as error:  # the answer stands without it
-        warnings.warn(f"the recordings could not be compared: {error}", stacklevel=2)
-        return estimate
-    estimate = replace(estimate, alarms=(*estimate.alarms, *found.alarms(estimate)))
+    with threadpool_limits(limits=1):
+        found = check_recordings(sitting, comparison, max_calls=max_calls, say=say)
+    for part, why in found.failed.items():
+        warnings.warn(f"checking the recordings, {part}: {why}", stacklevel=2)
     _write(sitting, estimate, found)
-    return estimate
+    return _doubted(estimate, found)
+
+
+def _doubted(estimate: Estimate, found: Check) -> Estimate:
+    return replace(estimate, alarms=(*estimate.alarms, *found.alarms(estimate)))
+
+
+def _found_before(directory: Path, estimate: Estimate) -> Check | None:
+    """What the recordings said of this very estimate when they were last looked at."""
+    try:
+        before = read_result(directory)
+        same = (before["n_calls"], before["probability"]) == (
+            estimate.n_calls,
+            json_ready(estimate.probability),
+        )
+        return Check.from_dict(before["recordings"]) if same else None
+    except (StoreError, KeyError, TypeError, ValueError):  # none, or of an earlier version
+        return None
 
 
 def _say_nothing(_: str) -> None:
@@ -324,6 +335,9 @@ def _go_on(sitting: _Sitting, k: int) -> Estimate:
 
 
 def _write(sitting: _Sitting, estimate: Estimate, found: Check | None = None) -> None:
+    found = found or _found_before(sitting.directory, estimate)
+    if found is not None:
+        estimate = _doubted(estimate, found)
     result = result_dict(estimate, sitting.scenario, sitting.campaign.problem)
     if found is not None:
         sentences = {"sentences": found.sentences(estimate)}

@@ -13,6 +13,7 @@ from crashrate.variables import BoolArray, FloatArray, frozen
 
 INDEPENDENT = "independent marginals"
 COPULA = "Pareto margins, Gaussian copula"
+SHRINK = 1 - 1e-6  # of correlations: a matrix that inverts where a variable repeats another
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,8 @@ def alternatives(z: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[C
     bodies = tuple(Margin.of(column, float(low), float(high)) for column, low, high in sides)
     tailed = tuple(m.with_tail(column) for m, column in zip(bodies, z.T, strict=True))
     scores = np.stack([m.normal_scores(c) for m, c in zip(tailed, z.T, strict=True)], axis=1)
-    correlation = np.atleast_2d(np.corrcoef(scores.T))
+    correlation = SHRINK * np.atleast_2d(np.corrcoef(scores.T))
+    np.fill_diagonal(correlation, 1.0)
     return (
         CopulaLaw(INDEPENDENT, bodies, frozen(np.eye(z.shape[1]))),
         CopulaLaw(COPULA, tailed, frozen(correlation)),

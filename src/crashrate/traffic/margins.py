@@ -15,6 +15,7 @@ from crashrate.variables import FloatArray, frozen
 
 CANDIDATES = (1, 2, 4)
 TAIL_SHARE = 0.025  # of the events, beyond which the Pareto law takes over
+MIN_BEYOND, LEAST_SHAPE = 30, -0.5
 N_GRID = 2049
 N_NEWTON = 4
 LEAST = 1e-300
@@ -30,11 +31,15 @@ class ParetoTail:
     scale: float
 
     @classmethod
-    def of(cls, values: FloatArray) -> "ParetoTail":
-        """Maximum likelihood on the largest values."""
+    def of(cls, values: FloatArray) -> "ParetoTail | None":
+        """Maximum likelihood on the largest values; None where they are too few, or no tail."""
         threshold = float(np.quantile(values, 1 - TAIL_SHARE))
         beyond = values[values > threshold] - threshold
+        if len(np.unique(beyond)) < MIN_BEYOND:
+            return None
         shape, _, scale = genpareto.fit(beyond, floc=0.0)
+        if shape < LEAST_SHAPE:  # no regular maximum: values that pile up at an end
+            return None
         return cls(threshold, len(beyond) / len(values), float(shape), float(scale))
 
     def log_density(self, z: FloatArray) -> FloatArray:
