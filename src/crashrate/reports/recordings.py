@@ -112,6 +112,11 @@ def _ways_text(c: Check) -> str:
     )
 
 
+def _amount(value: float) -> str:
+    """A number of events, expected: not a whole one where it is small."""
+    return count(value) if value >= 100 else plain(value, 3)
+
+
 def _deviance(ladder: Ladder | None) -> str:
     if ladder is None or len(ladder.levels) < 2:
         return "–"
@@ -124,11 +129,11 @@ def _p_value(p: float) -> str:
 
 def _ladder(ladder: Ladder) -> Sheet:
     between: list[tuple[str, ...]] = [
-        (f"{plain(low, 3)} to {plain(high, 3)}",)
+        (f"{_amount(low)} to {_amount(high)}",)
         for low, high in zip(ladder.low, ladder.high, strict=True)
     ] or [()] * len(ladder.levels)
     columns = zip(ladder.levels, ladder.observed, ladder.expected, between, strict=True)
-    rows = [(f"× {x:g}", count(o), plain(e, 3), *b) for x, o, e, b in columns]
+    rows = [(f"× {x:g}", count(o), _amount(e), *b) for x, o, e, b in columns]
     return Sheet(
         "ladder",
         "Severity ladder",
@@ -153,8 +158,8 @@ def _tails(tails: tuple[Tail, ...]) -> Sheet:
                 (
                     what,
                     count(rank),
-                    plain(expected, 3) + odd,
-                    f"{plain(low, 3)} to {plain(high, 3)}",
+                    _amount(expected) + odd,
+                    f"{_amount(low)} to {_amount(high)}",
                 )
             )
     return Sheet(

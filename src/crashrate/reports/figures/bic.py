@@ -183,7 +183,7 @@ def _plot(curve: _Curve) -> Plot:
         figure(
             [line, ringed],
             height=340,
-            xaxis=axis("number of components K", dtick=1 if len(ks) <= 20 else None),
+            xaxis=axis("number of components K", dtick=1 if len(ks) <= 8 else None),
             yaxis=axis(curve.unit, tickformat=",", range=_view(curve)),
         ),
         f"Line of {curve.name} for K from {min(ks)} to {max(ks)}; {curve.best_word} at K = {k}.",
