@@ -20,10 +20,9 @@ from crashrate.runs.progress import progress
 
 if TYPE_CHECKING:
     from crashrate.estimation.estimate import Estimate
-    from crashrate.events import EventTable
-    from crashrate.traffic.model import TrafficModel
 
 ERROR, TARGET_NOT_MET, INTERRUPTED = 1, 3, 130
+INTERRUPTED_WORDS = "Interrupted. The same command goes on where a run stopped; a fit begins again."
 REPORT = "report.html"
 
 app = typer.Typer(
@@ -134,7 +133,10 @@ def _plain_errors(*, debug: bool) -> Iterator[None]:
     except (typer.Exit, typer.BadParameter, BrokenPipeError):
         raise
     except KeyboardInterrupt:
-        typer.echo("Interrupted. A run goes on where it stopped: give the same command.", err=True)
+        typer.echo(
+            "Interrupted. The same command goes on where a run stopped; a fit begins again.",
+            err=True,
+        )
         raise typer.Exit(INTERRUPTED) from None
     except Exception as error:
         if debug:
@@ -199,8 +201,9 @@ def fit(
     require_file_place(out)
     require_replaceable(out)
     recorded.require_replaceable_events(out, events)
-    what, numbers = Scenario.from_file(scenario), fitting.parse_components(components)
+    what = Scenario.from_file(scenario)
     table = fitting.read_scenario_events(what, events, drop_invalid=drop_invalid)
+    numbers = fitting.tried(components, table)
     fitting.require_enough(table, numbers, events)
     typer.echo(table.summary())
     with progress() as say:
@@ -268,12 +271,14 @@ def run(
 ) -> None:
     """Estimate the crash probability of a scenario; resume what was interrupted."""
     del ctx
-    from crashrate.runs import places, runner
+    from crashrate.runs import places, recorded, runner
     from crashrate.runs.scenario import Scenario
 
     places.require_folder_place(out)
     what, model = Scenario.from_file(scenario), places.traffic_named(traffic)
-    events = _events_of(traffic, model)
+    events, note = recorded.events_for(traffic, model, method.value)
+    if note:
+        typer.echo(f"Note: {note}", err=True)
     n_stored = runner.n_stored(out)
     # what a simulator prints is not the answer
     with progress() as say, redirect_stdout(sys.stderr):
@@ -349,22 +354,6 @@ def demo(
 
 
 # --- what commands share
-
-
-def _events_of(traffic: str, model: "TrafficModel") -> "EventTable | None":
-    """The events behind a traffic model, where they lie beside its file."""
-    from crashrate.runs import places, recorded
-
-    if traffic == places.PUBLISHED or not recorded.remembers_events(model):
-        return None
-    events = recorded.read_events_beside(Path(traffic), model)
-    if events is None:
-        typer.echo(
-            f"Note: no {recorded.events_path(Path(traffic))}, which 'crashrate fit' writes: the "
-            "recordings are not replayed, and the model's tail is not checked.",
-            err=True,
-        )
-    return events
 
 
 def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int) -> None:

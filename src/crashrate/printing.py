@@ -39,8 +39,10 @@ def print_result(result: dict[str, Any], output: Format) -> None:
     if traffic_range := result.get("traffic_range"):
         typer.echo(traffic_range["sentence"])
     if recordings := result.get("recordings"):
-        for sentence in recordings["sentences"]:
+        for sentence in recordings.get("sentences", ()):
             typer.echo(sentence)
+        if pending := recordings.get("pending"):
+            typer.echo(f"Note: {pending}.", err=True)
     if result["synthetic"]:
         typer.echo(
             "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True
@@ -55,6 +57,12 @@ def print_result(result: dict[str, Any], output: Format) -> None:
 
 def print_fit(model: "TrafficModel") -> None:
     """How the number of components was chosen, and how sound the fit that was kept is."""
+    events = model.provenance.get("events") or {}
+    if twins := events.get("n_duplicates"):
+        typer.echo(
+            f"{twins:,} of the {events['n']:,} events equal an earlier one in every digit; each "
+            "counts as an event of its own."
+        )
     print_selection(model.provenance["selection"])
     _print_kept(model)
 

@@ -95,7 +95,7 @@ def test_quantiles_and_spread():
     wide = TrafficRange(tuple(p**2 * 1e6), tuple(0.1 * p**2 * 1e6))
     assert wide.undetermined
     assert wide.sentence().startswith(
-        "traffic models: the recordings do not determine this number better than a factor 8 either "
+        "traffic models: the recordings do not determine this number better than a factor 6 either "
         "way: 21 fits to the recordings give "
     )
 

@@ -90,3 +90,10 @@ def test_deviance_of_counts_as_expected_is_zero_and_of_the_impossible_infinite()
 
 def test_survives_a_file():
     assert Ladder.from_dict(found(1).to_dict()).to_dict() == found(1).to_dict()
+
+
+def test_a_ladder_on_which_nothing_happens_is_no_test():
+    nothing = Ladder(LEVELS, (0, 0, 0, 0), (0.0, 0.0, 0.1, 0.2), (), (), 0.4, 1.0)
+    assert not nothing.tested
+    assert found(0).tested
+    assert Ladder(LEVELS, (0, 0, 0, 0), (0.0, 0.0, 2.0, 9.0), (), (), 18.0, 1e-4).tested

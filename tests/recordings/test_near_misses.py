@@ -45,7 +45,7 @@ def test_the_dangerous_side_may_be_the_small_one():
 
 def test_ranks_are_those_that_the_events_can_tell():
     tail = found(1, n=2000)
-    assert tail.ranks == (10, 100)
+    assert tail.counts == (10, 100)
     assert list(tail.observed_quantiles) == sorted(tail.observed_quantiles, reverse=True)
     assert tail.model_quantiles[10] == pytest.approx(tail.observed_quantiles[10], rel=0.2)
 
@@ -59,3 +59,12 @@ def test_a_quantity_that_does_not_vary_is_left_out():
 def test_survives_a_file():
     tail = found(0)
     assert Tail.from_dict(tail.to_dict()) == tail
+
+
+def test_rounded_values_count_with_their_ties():
+    rng = np.random.default_rng(0)
+    events, draws = np.round(rng.normal(size=(20_000, 1))), rng.normal(size=(200_000, 1))
+    tail = tail_of(A, events, np.round(draws))
+    assert tail.levels == tuple(sorted(set(tail.levels), reverse=True))  # no level twice
+    assert tail.counts == tuple(int((events >= level).sum()) for level in tail.levels)
+    assert all(inside(tail))

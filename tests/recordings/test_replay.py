@@ -8,12 +8,25 @@ from crashrate.recordings.replay import LEAST, Replay, replayed, to_simulate
 def test_events_in_doubt_come_first_and_an_audit_in_any_case():
     h = np.zeros(100)
     h[[7, 3, 50]] = 0.9, 0.2, 0.01
-    chosen = to_simulate(h, 1000)
-    assert chosen[:3].tolist() == [7, 3, 50]
+    own = np.linspace(0, 1e-4, 100)
+    chosen = to_simulate(h, own, 1000, ordered=True)
+    assert chosen[:5].tolist() == [7, 3, 50, 99, 98]  # then by the surrogate's own opinion
     assert len(chosen) == LEAST
-    assert to_simulate(h, 2).tolist() == [7, 3]
-    assert len(to_simulate(h, 0)) == 0
-    assert len(to_simulate(np.full(100, 0.5), 1000)) == 100
+    assert to_simulate(h, own, 2, ordered=True).tolist() == [7, 3]
+    assert len(to_simulate(h, own, 0, ordered=True)) == 0
+    assert len(to_simulate(np.full(100, 0.5), own, 1000, ordered=True)) == 100
+
+
+def test_without_an_order_all_of_the_budget_is_used():
+    own = np.linspace(0, 1e-4, 100)
+    assert len(to_simulate(np.zeros(100), own, 37, ordered=False)) == 37
+    text = Replay(100, 37, 1, 0, (4,), ordered=False).sentence()
+    assert text.endswith("37 simulated; the others by the surrogate alone)")
+
+
+def test_failed_simulations_are_named():
+    text = Replay(100, 11, 0, 3, (), n_failed=2).sentence()
+    assert "3 in doubt (2 failed)" in text
 
 
 @pytest.mark.parametrize(("n", "k"), [(157_757, 1), (157_757, 0), (1000, 40), (5, 5)])

@@ -12,7 +12,6 @@ from crashrate.recordings import check
 from crashrate.runs import runner
 from crashrate.runs.record import load_run
 from crashrate.runs.scenario import Scenario
-from crashrate.runs.store import RunStore
 from crashrate.traffic.model import TrafficModel
 
 N = 3000
@@ -53,7 +52,7 @@ def test_recordings_are_replayed_and_in_the_result(go, tmp_path, vehicle, events
     assert found["replay"]["n_open"] == 0
     assert vehicle.n_runs == estimate.n_calls + found["replay"]["n_simulated"]
     assert found["sentences"][0].startswith(f"replay: the {N:,} events themselves give ")
-    assert said[0] == "replaying the recordings"
+    assert said[0] == f"replaying the recordings: 0 of {found['replay']['n_simulated']}"
     assert len(found["influence"]["events"]) == 10
     assert found["severity_ladder"] is None  # no variable closes in, and none is declared
 
@@ -81,7 +80,7 @@ def test_few_replays_leave_events_in_doubt(go, tmp_path):
     assert replay["interval"][1] > 3 / N or replay["n_open"] == 0
 
 
-def test_failed_simulation_is_remembered_as_failed(go, tmp_path, vehicle, monkeypatch):
+def test_failed_simulation_is_told_and_tried_again(go, tmp_path, vehicle, monkeypatch):
     real = type(vehicle).__call__
     counted = go(tmp_path / "probe").n_calls
 
@@ -90,13 +89,15 @@ def test_failed_simulation_is_remembered_as_failed(go, tmp_path, vehicle, monkey
         return outcomes if self.n_runs <= counted else np.full(len(x), np.nan)
 
     vehicle.n_runs = 0
-    monkeypatch.setattr(type(vehicle), "__call__", failing)
-    go(tmp_path / "run")
+    with monkeypatch.context() as patch:
+        patch.setattr(type(vehicle), "__call__", failing)
+        go(tmp_path / "run")
     replay = recordings(tmp_path / "run")["replay"]
     assert replay["n_crashes"] == 0
-    assert replay["n_open"] == replay["n_simulated"] > 0
-    with RunStore.open(tmp_path / "run") as store:
-        assert all(np.isnan(y) for y in store.replays().values())
+    assert replay["n_open"] == replay["n_failed"] == replay["n_simulated"] > 0
+    assert "failed" in replay["sentence"]
+    go(tmp_path / "run")
+    assert recordings(tmp_path / "run") == recordings(tmp_path / "probe")
 
 
 def test_interrupted_replay_goes_on(go, tmp_path, vehicle):
@@ -107,7 +108,10 @@ def test_interrupted_replay_goes_on(go, tmp_path, vehicle):
     vehicle.trouble[batches] = RuntimeError("no licence")  # the last batch: of the replay
     with pytest.raises(RuntimeError):
         go(tmp_path / "run")
-    assert json.loads((tmp_path / "run" / "result.json").read_text())["n_calls"] == calls
+    left = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert left["n_calls"] == calls
+    assert "not replayed yet" in left["recordings"]["pending"]
+    load_run(tmp_path / "run")
     vehicle.trouble.clear()
     go(tmp_path / "run")
     assert vehicle.n_runs == calls + n_replays
@@ -128,10 +132,11 @@ def test_a_part_that_fails_is_told_and_loses_nothing(go, tmp_path, monkeypatch):
 
 
 def test_a_simulator_that_raises_on_an_event_leaves_it_in_doubt(go, tmp_path, vehicle):
-    go(tmp_path / "probe")
+    go(tmp_path / "alone", events=None)
     batches = vehicle.n_batches
+    go(tmp_path / "probe")
     vehicle.n_batches = 0
-    vehicle.trouble[batches] = SimulationError("licence lost")
+    vehicle.trouble[batches + 1] = SimulationError("licence lost")  # the first of the replay
     with pytest.warns(UserWarning, match="replaying the recordings stopped: licence lost"):
         estimate = go(tmp_path / "run")
     found = recordings(tmp_path / "run")
@@ -222,6 +227,12 @@ def test_severity_of_one_must_change_nothing(scenario, rare, events, tmp_path, v
     with pytest.raises(ScenarioError, match="expected an event as it was recorded at severity 1"):
         runner.run(worse, rare, tmp_path / "run", seed=1, events=events)
     assert vehicle.n_runs == 0
+
+
+@pytest.mark.parametrize("text", ['a = "a / severity"', 'b = "b - severity + 1"'])
+def test_severity_that_makes_events_safer_is_refused(scenario, rare, events, tmp_path, text):
+    with pytest.raises(ScenarioError, match="less dangerous in 'sum' than as it was recorded"):
+        runner.run(with_severity(scenario, text), rare, tmp_path / "run", seed=1, events=events)
 
 
 def test_severity_beyond_arithmetic_for_some_draws_is_no_crash(scenario, rare, events, tmp_path):

@@ -29,10 +29,7 @@ def test_cut_in_has_the_measures_of_the_field():
     assert [q.sign for q in found.values()] == [-1, 1, -1, -1, 1, -1]
 
 
-def test_without_an_order_the_variables_themselves(scenario):
-    text = scenario.text.replace('[risk]\nsum = "increasing"', "")
-    assert list(by_name(Scenario.from_text(text, "small"))) == ["a", "b"]
-
-
-def test_a_variable_that_a_coordinate_uses_is_told_already(scenario):
+def test_only_what_has_a_direction(scenario):
     assert list(by_name(scenario)) == ["sum"]
+    text = scenario.text.replace('[risk]\nsum = "increasing"', "")
+    assert by_name(Scenario.from_text(text, "small")) == {}

@@ -34,7 +34,20 @@ def test_no_file_and_no_memory_of_events_are_no_error(tmp_path, events, model, t
     assert recorded.read_events_beside(tmp_path / "traffic.json", model) is None
     recorded.write_events(tmp_path / "traffic.json", events)
     assert recorded.read_events_beside(tmp_path / "traffic.json", traffic) is None
-    assert not recorded.remembers_events(traffic)
+    assert recorded.events_for("published", traffic, "sequential") == (None, "")
+
+
+def test_why_there_are_no_events_is_said(tmp_path, events, model):
+    file = str(tmp_path / "traffic.json")
+    found, note = recorded.events_for(file, model, "sequential")
+    assert found is None
+    assert "traffic.events.parquet, which 'crashrate fit' writes" in note
+    recorded.write_events(tmp_path / "traffic.json", events)
+    found, note = recorded.events_for(file, model, "sequential")
+    assert (len(found), note) == (4, "")
+    found, note = recorded.events_for(file, model, "huang2017")
+    assert found is None
+    assert "learns no crash set" in note
 
 
 def test_other_events_are_refused(tmp_path, events, model):

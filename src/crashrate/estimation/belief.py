@@ -14,6 +14,22 @@ BLOCK = 16_384  # rows looked at together: the order compares each with every ou
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """What is held about n situations.
+
+    Parameters
+    ----------
+    h : ndarray (n,)
+        P(crash | outcomes), the order and all cautions counted.
+    surrogate_h : ndarray (n,)
+        The surrogate's, everywhere.
+    """
+
+    h: FloatArray
+    surrogate_h: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Belief:
     """The probability that a situation crashes, given all outcomes of a campaign.
 
@@ -39,9 +55,19 @@ class Belief:
 
     def __call__(self, z: FloatArray) -> FloatArray:
         """P(crash | outcomes) (n,) at rows z (n, d) of the campaign's own variables."""
+        return self.see(z).h
+
+    @property
+    def ordered(self) -> bool:
+        """Whether outcomes imply others through a risk order."""
+        return self.labels.learned is not None
+
+    def see(self, z: FloatArray) -> Seen:
+        """The same, and the surrogate's own opinion, at rows z (n, d)."""
         parts = [self._block(z[i : i + BLOCK]) for i in range(0, len(z), BLOCK)]
-        return np.concatenate([np.empty(0), *parts])
+        return Seen(*np.concatenate([np.empty((2, 0)), *parts], axis=1))
 
     def _block(self, z: FloatArray) -> FloatArray:
         u = self.labels.coordinates(z)
-        return held(u, self.labels, self.surrogate, self.standardise)[0]
+        h, raw, _, _ = held(u, self.labels, self.surrogate, self.standardise)
+        return np.stack([h, raw])

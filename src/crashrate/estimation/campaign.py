@@ -33,6 +33,7 @@ def _huang2017(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
     return huang2017(problem)
 
 
+LEARNING = ("sequential",)  # methods that end with a learned crash set, a `Belief`
 METHODS: Mapping[str, Method] = {"sequential": _sequential, "huang2017": _huang2017}
 TELL_MEMBERS = ("sequential",)  # that say what each member of a traffic model makes of the runs
 

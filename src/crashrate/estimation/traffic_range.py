@@ -88,7 +88,8 @@ class TrafficRange:
                 "runs"
             )
         text = (
-            f"{m} fits to the recordings give {low:.1e} … {middle:.1e} … {high:.1e} (5, 50, 95 %)"
+            f"{m} fits to the recordings give {low:.1e} … {middle:.1e} … {high:.1e} (5, 50, 95 %), "
+            "whose mean is the number above"
         )
         if n := self.n_undetermined:
             text += f"; {n} of them {'is' if n == 1 else 'are'} not determined by the runs"
@@ -98,7 +99,9 @@ class TrafficRange:
         """What the range means, before its numbers: a reader in a hurry stops there."""
         if not self.undetermined:
             return ""
-        factor = math.exp(1.645 * self.log_deviation)
+        low, middle, high = self.quantiles
+        factor = max(high / middle, middle / low) if low > 0 else math.inf
+        factor = min(factor, math.exp(3 * self.log_deviation))  # one member may be anywhere
         return (
             "the recordings do not determine this number better than a factor "
             f"{factor:.0f} either way: "

@@ -89,8 +89,9 @@ def _expression(path: Path, source: Source, name: str, text: str | None) -> Expr
     """How variable `name` is computed from the columns of the file that it uses."""
     if text is None and name not in source.names:
         raise EventsError(
-            f"{path}: no column {name!r}{nearest(name, source.names)}; where it can be computed, "
-            f'say how under [events.columns], for example {name} = "1 / range".'
+            f"{path}: no column {name!r}{nearest(name, source.names)}; where the file calls it "
+            "otherwise, or it can be computed, say so under [events.columns], such as "
+            f'{name} = "{_first_name(source)} / 3.6".'
         )
     usable = tuple(column for column in source.names if column.isidentifier())
     try:
@@ -103,6 +104,10 @@ def _expression(path: Path, source: Source, name: str, text: str | None) -> Expr
             f"constant {expression.text!r}."
         )
     return Expression(expression.text, expression.used)
+
+
+def _first_name(source: Source) -> str:
+    return next((name for name in source.names if name.isidentifier()), "column")
 
 
 def _evaluate(expressions: Sequence[Expression], cells: Mapping[str, Column]) -> FloatArray:
@@ -197,5 +202,6 @@ def _require_events(path: Path, n_read: int, n_kept: int, dropped: Mapping[str, 
         return
     why = ", ".join(f"{n} {reason}" for reason, n in dropped.items()) or "no row was dropped"
     raise EventsError(
-        f"{path}: expected at least {MIN_EVENTS} events, got {n_kept} of {n_read} rows ({why})."
+        f"{path}: expected at least {MIN_EVENTS} events, got {n_kept} of {n_read} rows ({why}); "
+        "are the columns in the units of the scenario?"
     )

@@ -63,6 +63,11 @@ class Comparison:
         return self.first_levels(self.events.values)
 
     @property
+    def ordered(self) -> bool:
+        """Whether the learned set rests on a risk order."""
+        return self.belief.ordered
+
+    @property
     def levels(self) -> tuple[float, ...]:
         """Of the ladder; 1 alone where no severity is declared."""
         return self.severity.levels if self.severity else (1.0,)

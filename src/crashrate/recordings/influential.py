@@ -70,14 +70,18 @@ class Influential:
         """Whether the choice of events alone leaves the number open by more than a factor of 2."""
         return self.relative_error > UNDETERMINED
 
+    @property
+    def factor(self) -> float:
+        """From the number to either end of 90 % of what other events would give; at most 1000."""
+        return min(math.exp(min(1.645 * self.relative_error, 10.0)), LARGEST_FACTOR)
+
     def sentences(self, n_events: int, *, said: bool) -> list[str]:
         """What a reader must know of this; `said`: that the number is left open."""
         found = []
         if self.open_wide and not said:
-            factor = math.exp(min(1.645 * self.relative_error, math.log(LARGEST_FACTOR)))
             found.append(
                 "influence: the choice of events alone leaves this number open by a factor "
-                f"{factor:.1f} either way{' or more' if factor >= LARGEST_FACTOR * 0.999 else ''}"
+                f"{self.factor:.1f} either way"
             )
         if self.few:
             found.append(

@@ -15,6 +15,7 @@ from crashrate.recordings.expectation import Draws
 from crashrate.variables import FloatArray
 
 MISFIT = 0.01  # the alarm's level
+LEAST_EXPECTED = 1.0  # crashes at the highest level, for the absence of any to say something
 N_SIMULATED = 20_000  # draws of the deviance's law: exact where few crashes are expected
 
 
@@ -44,6 +45,11 @@ class Ladder:
     high: tuple[float, ...]
     deviance: float
     p_value: float
+
+    @property
+    def tested(self) -> bool:
+        """Whether being worse makes any difference here: else the ladder says nothing."""
+        return max(self.observed) > 0 or max(self.expected) >= LEAST_EXPECTED
 
     @property
     def misfit(self) -> bool:

@@ -42,10 +42,10 @@ class Tail:
     name, unit : str
     sign : float
         +1 where larger is more dangerous.
-    ranks : tuple of int
-        Numbers of recorded events at least as dangerous as a level.
+    counts : tuple of int
+        Recorded events at least as dangerous as a level.
     levels : tuple of float
-        The level of each rank.
+        Of about the 10th, 100th and 1000th most dangerous event.
     expected : tuple of float
         Events beyond it that the model expects among as many.
     low, high : tuple of float
@@ -57,7 +57,7 @@ class Tail:
     name: str
     unit: str
     sign: float
-    ranks: tuple[int, ...]
+    counts: tuple[int, ...]
     levels: tuple[float, ...]
     expected: tuple[float, ...]
     low: tuple[float, ...]
@@ -82,27 +82,31 @@ def tail_of(quantity: Quantity, events: FloatArray, draws: FloatArray) -> Tail:
     """Compare the dangerous tails of recorded events x (n, d) and of a model's draws (m, d)."""
     seen = np.sort(quantity.sign * quantity.of(events))[::-1]
     drawn = np.sort(quantity.sign * quantity.of(draws))[::-1]
-    ranks = [rank for rank in RANKS if rank <= len(events) // 10]
-    levels = [float(seen[rank - 1]) for rank in ranks]
-    beyond = [np.searchsorted(-drawn, -level, side="right") for level in levels]
+    levels = np.unique([seen[rank - 1] for rank in RANKS if rank <= len(events) // 10])[::-1]
+    counts = _beyond(seen, levels)  # as many as the rank, and more where values are rounded
     every = len(events) / len(drawn)
     # beyond the event of rank r the model expects a Gamma(r) number, of which draws see a Poisson
     # one: negative binomial together
     low, high = (
-        tuple(float(nbinom.ppf(q, rank, every / (1 + every))) * every for rank in ranks)
+        tuple(float(nbinom.ppf(q, count, every / (1 + every))) * every for count in counts)
         for q in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
     )
     return Tail(
         quantity.name,
         quantity.unit,
         quantity.sign,
-        tuple(ranks),
-        tuple(quantity.sign * level for level in levels),
-        tuple(float(b) * every for b in beyond),
+        tuple(counts),
+        tuple(quantity.sign * float(level) for level in levels),
+        tuple(b * every for b in _beyond(drawn, levels)),
         low,
         high,
         *_quantiles(quantity.sign, seen, drawn),
     )
+
+
+def _beyond(falling: FloatArray, levels: FloatArray) -> list[int]:
+    """How many of the values, largest first, reach each level."""
+    return [int(np.searchsorted(-falling, -level, side="right")) for level in levels]
 
 
 def _quantiles(

@@ -34,6 +34,10 @@ class Replay:
         Events in doubt that were not simulated (the budget ended), or whose simulation failed.
     expected_open : float
         Crashes among those, by what was learned.
+    n_failed : int
+        Events in doubt because their simulation failed.
+    ordered : bool
+        Whether a risk order helped to settle the others, or a surrogate alone.
     crashing : tuple of int
         Rows of the crashing events in their file, counted from 1.
     confidence : float
@@ -45,6 +49,8 @@ class Replay:
     n_open: int
     crashing: tuple[int, ...]
     expected_open: float = 0.0
+    n_failed: int = 0
+    ordered: bool = True
     confidence: float = 0.95
 
     @property
@@ -73,11 +79,12 @@ class Replay:
             f"({crashes}; {self.n_simulated} simulated"
         )
         if self.n_open:
+            failed = f" ({self.n_failed} failed)" if self.n_failed else ""
             text += (
-                f"; {self.n_open:,} in doubt, which the lower end takes for safe and the upper for "
-                "crashes"
+                f"; {self.n_open:,} in doubt{failed}, which the lower end takes for safe and the "
+                "upper for crashes"
             )
-        return text + ")"
+        return text + ("" if self.ordered else "; the others by the surrogate alone") + ")"
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""
@@ -98,10 +105,15 @@ def _short(value: float) -> str:
     return f"{value:.1e}" if value else "0"
 
 
-def to_simulate(h: FloatArray, max_runs: int) -> IntArray:
-    """Indices of the situations to simulate: in doubt, and a few more, most dangerous first."""
-    wanted = max(int(np.count_nonzero(h > DOUBT)), LEAST)
-    return np.argsort(-h, kind="stable")[: min(wanted, max_runs)]
+def to_simulate(
+    h: FloatArray, surrogate_h: FloatArray, max_runs: int, *, ordered: bool
+) -> IntArray:
+    """Indices of the situations to simulate: in doubt, and a few more, most dangerous first.
+
+    All that the budget allows where no order is in use: a surrogate alone misses crashes.
+    """
+    wanted = max(int(np.count_nonzero(h > DOUBT)), LEAST) if ordered else max_runs
+    return np.lexsort((-surrogate_h, -h))[: min(wanted, max_runs)]
 
 
 def replayed(
@@ -112,6 +124,7 @@ def replayed(
     failed: BoolArray,
     n_runs: int,
     confidence: float,
+    ordered: bool = True,
 ) -> Replay:
     """The replay of n events.
 
@@ -128,6 +141,8 @@ def replayed(
     n_runs : int
         Simulator runs behind the outcomes.
     confidence : float
+    ordered : bool
+        As of `Replay`.
     """
     left = np.isnan(outcomes) & ((h > DOUBT) | failed)
     crashing = np.flatnonzero(outcomes == 1)
@@ -138,5 +153,7 @@ def replayed(
         int(np.count_nonzero(left)),
         tuple(int(row) + 1 for row in np.sort(rows[crashing])),
         float(h[left].sum()),
+        int(np.count_nonzero(failed & left)),
+        ordered,
         confidence,
     )

@@ -6,6 +6,7 @@ from crashrate.recordings.check import Check
 from crashrate.recordings.influential import Influential
 from crashrate.recordings.ladder import Ladder
 from crashrate.recordings.near_misses import Tail
+from crashrate.recordings.replay import Replay
 from crashrate.reports.axes import units_of, variable_axes
 from crashrate.reports.numbers import count, interval_text, percent, plain, power_of_ten
 from crashrate.runs.record import RunRecord
@@ -33,7 +34,7 @@ class Sheet:
 def check_of(record: RunRecord) -> Check | None:
     """What the run's recordings said; None where none were at hand."""
     values = record.result.get("recordings")
-    if not values:
+    if not values or "pending" in values:
         return None
     found, units = Check.from_dict(values), units_of(record.scenario)
     named = (replace(t, unit=t.unit or units.get(t.name, "")) for t in found.tails)
@@ -88,28 +89,50 @@ def _ways(record: RunRecord, c: Check) -> Sheet:
 def _ways_text(c: Check) -> str:
     r = c.replay
     text = (
-        f"Replay counts the {r.n_events:,} events themselves ({r.n_simulated} of them simulated, "
-        "the others settled by what the campaign learned)"
+        f"Replay counts the {r.n_events:,} events themselves: {r.n_simulated} simulator runs, "
+        f"{_in_doubt(r)}the others settled by {_settled_by(r)}{_crashing(r)}."
     )
-    if r.n_open:
-        text += f"; {r.n_open:,} of them stay in doubt and count as learned"
-    if r.crashing:
-        rows = ", ".join(str(row) for row in r.crashing[:20])
-        text += f"; row{'s' if len(r.crashing) > 1 else ''} {rows} crash"
-        text += "es" if len(r.crashing) == 1 else ""
     if c.extremes is not None:
         text += (
-            ". Extreme-value theory extrapolates the severity at which the "
+            " Extreme-value theory extrapolates the severity at which the "
             f"{c.extremes.n_exceedances} worst events begin to crash (a generalised Pareto law, "
-            f"shape {c.extremes.shape:.2f}), and knows nothing of the joint model"
+            f"shape {c.extremes.shape:.2f}), and knows nothing of the joint model; it raises an "
+            "alarm where its interval at 99 % excludes the answer."
+        )
+    elif c.ladder is not None:
+        text += (
+            " Extreme-value theory says nothing here: too few events come near a crash, or so many "
+            "crash that none is extreme."
         )
     return (
-        text
-        + ". The laws below it are in use elsewhere and stand here for comparison only, fitted "
+        text + " The laws below it are in use elsewhere and stand here for comparison only, fitted "
         "to the same events. “Ladder” is the deviance of the severity ladder with its p-value: "
         "a small p-value means that the law is refuted where crashes come from."
         + "".join(f" Could not be computed: {part} ({why})." for part, why in c.failed.items())
     )
+
+
+def _in_doubt(r: Replay) -> str:
+    if not r.n_open:
+        return ""
+    failed = f" ({r.n_failed} failed)" if r.n_failed else ""
+    return f"{r.n_open:,} events left in doubt{failed}, which count by what was learned, "
+
+
+def _settled_by(r: Replay) -> str:
+    return "what the campaign learned" if r.ordered else "the surrogate alone, without an order"
+
+
+def _crashing(r: Replay) -> str:
+    if not r.crashing:
+        return ""
+    rows = ", ".join(str(row) for row in r.crashing[:MOST_ROWS])
+    more = f" and {len(r.crashing) - MOST_ROWS} more" if len(r.crashing) > MOST_ROWS else ""
+    several = len(r.crashing) > 1
+    return f"; row{'s' if several else ''} {rows}{more} crash{'' if several else 'es'}"
+
+
+MOST_ROWS = 20
 
 
 def _amount(value: float) -> str:
@@ -118,7 +141,7 @@ def _amount(value: float) -> str:
 
 
 def _deviance(ladder: Ladder | None) -> str:
-    if ladder is None or len(ladder.levels) < 2:
+    if ladder is None or len(ladder.levels) < 2 or not ladder.tested:
         return "–"
     return f"{ladder.deviance:,.1f} (p {_p_value(ladder.p_value)})"
 
@@ -138,18 +161,30 @@ def _ladder(ladder: Ladder) -> Sheet:
         "ladder",
         "Severity ladder",
         "The events made worse by a factor, level by level: how many would crash, by what the "
-        "campaign learned, and how many the traffic model expects among as many. The tail of the "
-        f"model is tested where crashes come from: deviance {ladder.deviance:,.1f} over "
-        f"{len(ladder.levels)} increments, p {_p_value(ladder.p_value)}.",
+        "campaign learned (the replay, which simulates, may count one or two others at × 1), and "
+        f"how many the traffic model expects among as many. {_tested(ladder)}",
         ("Severity", "Events that crash", "Expected", *("Fits, 5 to 95 %",) * bool(ladder.low)),
         tuple(rows),
+    )
+
+
+def _tested(ladder: Ladder) -> str:
+    if not ladder.tested:
+        return (
+            "Not tested: no event crashes at any level, and the model expects less than one. Does "
+            "this severity make a crash likelier?"
+        )
+    return (
+        "The tail of the model is tested where crashes come from: deviance "
+        f"{ladder.deviance:,.1f} over {len(ladder.levels)} increments, p "
+        f"{_p_value(ladder.p_value)}."
     )
 
 
 def _tails(tails: tuple[Tail, ...]) -> Sheet:
     rows = []
     for tail in tails:
-        sides = zip(tail.ranks, tail.levels, tail.expected, tail.low, tail.high, strict=True)
+        sides = zip(tail.counts, tail.levels, tail.expected, tail.low, tail.high, strict=True)
         for rank, level, expected, low, high in sides:
             sign = "≥" if tail.sign > 0 else "≤"
             what = f"{tail.name} {sign} {plain(level, 3)} {tail.unit}".rstrip()
@@ -167,7 +202,10 @@ def _tails(tails: tuple[Tail, ...]) -> Sheet:
         "Near misses",
         "How many events come at least as near to a crash as a level, and how many the traffic "
         "model expects. The last column is where the expected number lies for 95 % of recordings "
-        "if the model is right.",
+        "if the model is right: one row in twenty lies outside by chance, several of one quantity "
+        "say that the model misses its tail. TTC is the time to collision, range over closing "
+        "speed; DRAC the deceleration that avoids it, closing speed² / (2 range); the minimum gap "
+        "is that of the simulated encounter.",
         ("Level", "Events", "Expected", "95 % if right"),
         tuple(rows),
     )
@@ -189,9 +227,9 @@ def _influence(record: RunRecord, c: Check, found: Influential) -> Sheet:
         "influence",
         "The events that decide",
         "By the infinitesimal jackknife of the best fit: what the probability would gain if an "
-        "event had been recorded twice. From the choice of events alone, at this number of "
-        f"components, the number is known to ± {percent(found.relative_error)} (one standard "
-        f"error); five events carry {percent(found.share_of_five)} of that variance. "
+        "event had been recorded twice. The choice of events alone, at this number of components, "
+        f"leaves that fit's probability open by a factor {found.factor:.1f} either way; five "
+        f"events carry {percent(found.share_of_five)} of the variance. "
         f"{c.n_duplicates:,} of the {c.replay.n_events:,} events equal an earlier one in every "
         f"digit.{flat}",
         ("Row", *(axis.label for axis in axes), "Change", "Share of variance"),

@@ -20,7 +20,6 @@ from crashrate.runs.vehicle import Simulate
 from crashrate.variables import FloatArray
 
 REPLAY_CALLS = 50
-BATCH = 10
 Say = Callable[[str], None]
 
 
@@ -50,6 +49,7 @@ def require_severity(scenario: Scenario, events: EventTable) -> None:
     if severity is None:
         return
     _require_nothing_at_1(scenario, severity, events)
+    calm = _coordinates(scenario, events.values, 1.0)
     for level in severity.levels:
         worse = severity(events.values, level)
         bad = np.argwhere(~np.isfinite(worse))
@@ -60,7 +60,7 @@ def require_severity(scenario: Scenario, events: EventTable) -> None:
                 f"{events.names[j]} of event {int(events.rows[i]) + 1} at severity {level:g}; "
                 "change the expression."
             )
-        _require_coordinates(scenario, worse, level)
+        _require_worse(scenario, events, calm, _coordinates(scenario, worse, level), level)
 
 
 def _require_nothing_at_1(scenario: Scenario, severity: Severity, events: EventTable) -> None:
@@ -75,59 +75,81 @@ def _require_nothing_at_1(scenario: Scenario, severity: Severity, events: EventT
         )
 
 
-def _require_coordinates(scenario: Scenario, worse: FloatArray, level: float) -> None:
+def _coordinates(scenario: Scenario, x: FloatArray, level: float) -> FloatArray | None:
+    """Risk coordinates (n, m) of events made worse; None where no order is declared."""
     risk = scenario.risk_mapping()
+    if risk is None:
+        return None
     try:
-        if risk is not None:
-            RiskOrder.from_mapping(risk, scenario.names)(worse)
+        return RiskOrder.from_mapping(risk, scenario.names)(x)
     except InvalidInputError as error:
         raise ScenarioError(
             f"{scenario.name}.toml, [severity]: at severity {level:g}: {error}"
         ) from error
 
 
+def _require_worse(
+    scenario: Scenario,
+    events: EventTable,
+    calm: FloatArray | None,
+    worse: FloatArray | None,
+    level: float,
+) -> None:
+    if calm is None or worse is None:
+        return
+    safer = np.argwhere(worse < calm - 1e-9 * np.abs(calm))
+    if len(safer):
+        i, k = (int(v) for v in safer[0])
+        raise ScenarioError(
+            f"{scenario.name}.toml, [severity]: at severity {level:g} event "
+            f"{int(events.rows[i]) + 1} is less dangerous in {[*(scenario.risk or ())][k]!r} than "
+            "as it was recorded, by the order of [risk]; a severity makes events worse."
+        )
+
+
 def check_recordings(sitting: Sitting, c: Comparison, *, max_calls: int, say: Say) -> Check:
     """Replay the events, up to `max_calls` of them simulated and stored, and check the tail."""
-    say("replaying the recordings")
-    replay = _replay(sitting, c, max_calls)
+    replay = _replay(sitting, c, max_calls, say)
     return check(c, quantities(sitting.scenario, sitting.simulate), replay, say)
 
 
-def _replay(sitting: Sitting, c: Comparison, max_calls: int) -> Replay:
+def _replay(sitting: Sitting, c: Comparison, max_calls: int, say: Say) -> Replay:
     """Simulate what is in doubt; equal events share a simulator run and its outcome."""
-    h, x = c.belief(c.z), c.events.values
+    x = c.events.values
+    seen = c.belief.see(c.z)
     _, first, same = np.unique(x, axis=0, return_index=True, return_inverse=True)
-    chosen = to_simulate(h[first], max_calls)
-    known = _outcomes(sitting, x[first[chosen]])
+    chosen = to_simulate(seen.h[first], seen.surrogate_h[first], max_calls, ordered=c.ordered)
+    known = _outcomes(sitting, x[first[chosen]], say)
     outcomes, failed = np.full(len(first), np.nan), np.zeros(len(first), dtype=bool)
     for i in chosen:
-        outcome = known.get(blob(x[first[i]]))
-        if outcome is not None:
+        if (outcome := known.get(blob(x[first[i]]))) is not None:
             outcomes[i], failed[i] = outcome, np.isnan(outcome)
-    same = same.ravel()
     return replayed(
-        h,
-        outcomes[same],
+        seen.h,
+        outcomes[same.ravel()],
         c.events.rows,
-        failed=failed[same],
+        failed=failed[same.ravel()],
         n_runs=sum(blob(x[first[i]]) in known for i in chosen),
         confidence=c.confidence,
+        ordered=c.ordered,
     )
 
 
-def _outcomes(sitting: Sitting, x: FloatArray) -> dict[bytes, float]:
+def _outcomes(sitting: Sitting, x: FloatArray, say: Say) -> dict[bytes, float]:
     """Outcomes by situation, those of x (n, d) among them unless the simulator raises.
 
-    The answer of the campaign stands whatever happens here.
+    The answer of the campaign stands whatever happens here. A failed simulation is not stored: the
+    next call tries it again, as no campaign depends on it.
     """
     known = sitting.store.replays()
-    new = np.array([row for row in x if blob(row) not in known])
     try:
-        for start in range(0, len(new), BATCH):
-            rows = new[start : start + BATCH]
-            batch = Batch(rows, sitting.simulated(rows))
-            sitting.store.add_replays(batch)
-            known |= {blob(row): y for row, y in zip(rows, batch.outcomes, strict=True)}
+        for i, row in enumerate(x):
+            say(f"replaying the recordings: {i} of {len(x)}")
+            if blob(row) in known:
+                continue
+            known[blob(row)] = outcome = float(sitting.simulated(row[None])[0])
+            if not np.isnan(outcome):
+                sitting.store.add_replays(Batch(row[None], np.array([outcome])))
     except SimulationError as error:
         warnings.warn(
             f"replaying the recordings stopped: {error} The answer stands; events that were not "

@@ -67,6 +67,13 @@ def require_enough(
     )
 
 
+def tried(text: str, events: EventTable) -> tuple[int, ...]:
+    """Numbers of components to try: of "auto" those that the events can hold, one at least."""
+    numbers = parse_components(text)
+    most = max(len(events) // EVENTS_PER_COMPONENT, 1)
+    return tuple(n for n in numbers if n <= most) if text == "auto" else numbers
+
+
 def thin_data(n_events: int, n_components: int, n_variables: int) -> str:
     """A warning where a fit rests on fewer than ten events per parameter; else empty."""
     d = n_variables

@@ -15,13 +15,9 @@ FAR = 1e9  # s: a TTC of events that hardly close
 
 
 def quantities(scenario: Scenario, simulate: Simulate) -> tuple[Quantity, ...]:
-    """Of the risk order, other variables, TTC and DRAC where they can be computed, the gap."""
+    """Of the risk order, TTC and DRAC where they can be computed, the gap where it is known."""
     risk = scenario.risk or {}
     found = [_declared(scenario, name, way) for name, way in risk.items()]
-    told = {n for name in risk for n in (name, *_used(scenario, name))}
-    # of a variable that the order says nothing of, the larger values
-    silent = [name for name in scenario.names if name not in told]
-    found += [_declared(scenario, name, Direction.INCREASING) for name in silent]
     if _has(scenario, "range") and _has(scenario, "closing_speed"):
         gap, closing = _column(scenario, "range"), _column(scenario, "closing_speed")
         found.append(Quantity("TTC", "s", _ttc(gap, closing), -1.0))
@@ -34,10 +30,6 @@ def quantities(scenario: Scenario, simulate: Simulate) -> tuple[Quantity, ...]:
 def _declared(scenario: Scenario, name: str, way: Direction) -> Quantity:
     unit = next((v.unit for v in scenario.variables if v.name == name), "")
     return Quantity(name, unit, _column(scenario, name), way.sign)
-
-
-def _used(scenario: Scenario, name: str) -> tuple[str, ...]:
-    return scenario.derived[name].used if name in scenario.derived else ()
 
 
 def _has(scenario: Scenario, name: str) -> bool:

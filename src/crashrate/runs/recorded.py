@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crashrate.errors import InvalidInputError, StoreError
+from crashrate.estimation.campaign import LEARNING
 from crashrate.events import EventTable
 from crashrate.traffic.model import TrafficModel
 
@@ -66,9 +67,24 @@ def write_events(traffic: Path, events: EventTable) -> Path:
     return path
 
 
-def remembers_events(model: TrafficModel) -> bool:
-    """Whether the model was fitted to events of which a copy was written."""
-    return bool(_known(model))
+def events_for(traffic: str, model: TrafficModel, method: str) -> tuple[EventTable | None, str]:
+    """The events behind the model in file `traffic`, for a run by `method`; or why there are none.
+
+    Both are empty for a model that was fitted to no events of which a copy was written.
+
+    Raises
+    ------
+    InvalidInputError
+        As `read_events_beside`.
+    """
+    if not _known(model):
+        return None, ""
+    skipped = "the recordings are not replayed, and the model's tail is not checked."
+    if method not in LEARNING:
+        return None, f"the method {method!r} learns no crash set: {skipped}"
+    events = read_events_beside(Path(traffic), model)
+    missing = f"no {events_path(Path(traffic))}, which 'crashrate fit' writes: {skipped}"
+    return events, "" if events else missing
 
 
 def read_events_beside(traffic: Path, model: TrafficModel) -> EventTable | None:

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from crashrate.errors import SimulationError, StoreError
-from crashrate.estimation.campaign import Campaign
+from crashrate.estimation.campaign import LEARNING, Campaign
 from crashrate.estimation.estimate import Estimate, json_ready
 from crashrate.estimation.strategy import Problem
 from crashrate.events import EventTable
@@ -47,6 +47,8 @@ from crashrate.variables import FloatArray
 
 Number = TypeVar("Number", int, float)
 
+# in the place of what the recordings say, until they have been looked at
+PENDING = {"pending": "the recordings are not replayed yet: the same 'run' command does it"}
 SECONDS_BETWEEN_RESULTS = 1.0  # so that status can follow a run, and writing costs nothing
 
 
@@ -129,7 +131,15 @@ def run(
     config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
     with _store(directory, config, campaign.problem, same_vehicle=same_vehicle) as store:
         store.set_config(TARGETS, json.dumps(aims))
-        sitting = _Sitting(directory, scenario, campaign, simulate, store, on_progress or _ignore)
+        sitting = _Sitting(
+            directory,
+            scenario,
+            campaign,
+            simulate,
+            store,
+            on_progress or _ignore,
+            events is not None and method in LEARNING,
+        )
         estimate = _go_on(sitting, _replay(sitting))
         belief = campaign.snapshot.belief
         if events is None or belief is None:
@@ -209,6 +219,7 @@ class _Sitting:
     simulate: Simulate
     store: RunStore
     on_progress: Callable[[Campaign], None]
+    awaits_check: bool
 
     def simulated(self, x: FloatArray) -> FloatArray:
         """Outcomes (n,) of `x` (n, d), checked before anything is stored or told."""
@@ -339,6 +350,8 @@ def _write(sitting: _Sitting, estimate: Estimate, found: Check | None = None) ->
     if found is not None:
         estimate = _doubted(estimate, found)
     result = result_dict(estimate, sitting.scenario, sitting.campaign.problem)
+    if sitting.awaits_check and found is None:
+        result["recordings"] = PENDING
     if found is not None:
         sentences = {"sentences": found.sentences(estimate)}
         result["recordings"] = json_ready(found.to_dict()) | sentences

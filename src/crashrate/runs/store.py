@@ -1,6 +1,5 @@
 """The store: everything a run is made of, in one SQLite file that is only ever added to."""
 
-import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ CREATE TABLE batches (
 );
 """
 # of recorded events, beside the campaign: a folder from before this table gets it when it is needed
-REPLAYS = "CREATE TABLE IF NOT EXISTS replays (x BLOB PRIMARY KEY, outcome REAL)"
+REPLAYS = "CREATE TABLE IF NOT EXISTS replays (x BLOB PRIMARY KEY, outcome REAL NOT NULL)"
 READING = "DEFERRED"  # a transaction that only reads: also of a folder that cannot be written
 FLOAT = np.dtype("<f8")  # little-endian on every machine
 
@@ -166,14 +165,11 @@ class RunStore:
         with self._transaction() as connection:
             connection.execute(REPLAYS)
             rows = connection.execute("SELECT x, outcome FROM replays").fetchall()
-        return {x: math.nan if outcome is None else outcome for x, outcome in rows}
+        return dict(rows)
 
     def add_replays(self, batch: Batch) -> None:
-        """Write the outcomes of recorded events."""
-        rows = [
-            (blob(x), None if math.isnan(y) else float(y))
-            for x, y in zip(batch.x, batch.outcomes, strict=True)
-        ]
+        """Write the outcomes, 0 or 1, of recorded events."""
+        rows = [(blob(x), float(y)) for x, y in zip(batch.x, batch.outcomes, strict=True)]
         with self._transaction() as connection:
             connection.executemany("INSERT OR REPLACE INTO replays VALUES (?, ?)", rows)
 

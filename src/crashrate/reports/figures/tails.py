@@ -30,7 +30,8 @@ _QUANTILES = (
 def _ladder_panel(ladder: Ladder) -> Panel:
     caption = (
         "Events that would crash if they were made worse by a factor (points, with the 95 % "
-        "interval of a Poisson count), and what the traffic model expects (line"
+        "interval of a Poisson count; a level at which none crashes has no point), and what the "
+        "traffic model expects (line"
         + (", 5 to 95 % of its further fits as a band)." if ladder.low else ").")
     )
     described = ", ".join(
