@@ -55,13 +55,13 @@ def _untested(labels: Labels, pool: Pool, times: int) -> FloatArray:
     x, u = pool.x[rows], pool.u[rows]
     crash, safe = labels.implied(u)
     chosen = [
-        _farthest(u, labels.u, np.flatnonzero(member), n * times)
+        farthest(u, labels.u, np.flatnonzero(member), n * times)
         for member, n in ((safe, SAFE_PROBES), (crash, CRASH_PROBES))
     ]
     return np.asarray(x[np.concatenate(chosen)])
 
 
-def _farthest(u: FloatArray, known: FloatArray, rows: np.ndarray, n: int) -> np.ndarray:
+def farthest(u: FloatArray, known: FloatArray, rows: np.ndarray, n: int) -> np.ndarray:
     """`n` of `rows`, each the farthest from the known points and those chosen before it."""
     if not len(rows):
         return rows

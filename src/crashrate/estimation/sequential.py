@@ -33,11 +33,16 @@ from crashrate.estimation.rounds import (
 )
 from crashrate.estimation.selection import greedy, to_estimate, to_learn
 from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
 from crashrate.estimation.view import Standardiser, View, see
 from crashrate.sampling.pool import Density, draw_pool
 from crashrate.variables import FloatArray
 
-BEGINNING, ENCOUNTERS = 2_000_000, 2_000_001  # random streams beside those of the rounds
+BEGINNING, ENCOUNTERS, SURVEYS = (
+    2_000_000,
+    2_000_001,
+    2_000_002,
+)  # random streams beside those of the rounds
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
@@ -85,6 +90,10 @@ class State:
         Of the traffic model: those that the next round is directed at, if any.
     n_directed : int
         Rounds so far that were directed at members.
+    n_surveys : int
+        Looks so far, once the target was met, at places far from all runs.
+    surveyed : bool
+        Whether the last of them met no surprise, or they are at an end.
     """
 
     labels: Labels
@@ -99,6 +108,8 @@ class State:
     learning: bool = True
     members: Members = ()
     n_directed: int = 0
+    n_surveys: int = 0
+    surveyed: bool = False
 
     @property
     def ordered(self) -> bool:
@@ -128,10 +139,14 @@ def sequential(problem: Problem) -> Learner:
     while state.labels.n < problem.max_calls:
         if not state.ordered and state.encounters is None:
             labels, met = yield from meet(problem, state.labels, problem.rng(ENCOUNTERS))
+            labels = yield from first_survey(problem, labels, problem.rng(SURVEYS))
             state = replace(state, labels=labels, encounters=met, ordinary=state.ordinary[:0])
             continue
         state, view = yield from _round(problem, state, snapshot)
         snapshot = _snapshot(problem, state, view)
+        if snapshot.stop_reason is not StopReason.RUNNING and not (state.ordered or state.surveyed):
+            state = yield from _survey(problem, state, snapshot)
+            snapshot = _snapshot(problem, state, view)
         state = _directed(problem, state, snapshot)
         if snapshot.stop_reason is not StopReason.RUNNING and not state.members:
             break
@@ -141,6 +156,19 @@ def sequential(problem: Problem) -> Learner:
     exact = exact_bounds(problem, state.labels)
     bounds = snapshot.bounds if exact is None else exact
     return replace(snapshot, bounds=bounds, belief=_belief(state))
+
+
+def _survey(
+    problem: Problem, state: State, snapshot: Snapshot
+) -> Generator[Query, FloatArray, State]:
+    """Look at the emptiest places; what was estimated is void where a crash comes as a surprise."""
+    rng = problem.rng(SURVEYS + 1 + state.n_surveys)
+    labels, surprise = yield from survey(problem, _belief(state), snapshot, rng)
+    done = state.n_surveys + 1
+    if surprise:
+        state = replace(state, rounds=(), model=state.model.forgetting())
+    surveyed = not surprise or done == MAX_SURVEYS
+    return replace(state, labels=labels, n_surveys=done, surveyed=surveyed)
 
 
 def _belief(state: State) -> Belief:

@@ -1,0 +1,55 @@
+"""Surveys: where no risk order speaks, runs far from all others, wherever traffic may reach.
+
+A surrogate without an order takes what no run came near for safe. Its crash set grows from the
+first crash found; another, or a far end of the same, stays unseen, and half a probability with it.
+Before it is trusted, and again when the target is met, the emptiest places are looked at: a crash
+where the surrogate was sure of safety refutes what was estimated before.
+"""
+
+from collections.abc import Generator
+
+import numpy as np
+
+from crashrate.estimation.belief import Belief
+from crashrate.estimation.exploration import INFLATION, N_WIDE, inflated
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.probing import ask, farthest, reachable
+from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.sampling.pool import draw_pool
+from crashrate.variables import FloatArray
+
+N_FIRST, N_AGAIN = 20, 10
+MAX_SURVEYS = 6
+SURPRISE = 0.5  # a crash less likely than this was not expected
+
+Surveying = Generator[Query, FloatArray, tuple[Labels, bool]]
+
+
+def first_survey(
+    problem: Problem, labels: Labels, rng: np.random.Generator
+) -> Generator[Query, FloatArray, Labels]:
+    """Look at the emptiest places before anything is estimated."""
+    x = _emptiest(problem, labels, N_FIRST, rng)
+    return (yield from ask(problem, labels, x))
+
+
+def survey(
+    problem: Problem, belief: Belief, snapshot: Snapshot, rng: np.random.Generator
+) -> Surveying:
+    """Look again; the labels, and whether a crash was met where none was believed."""
+    labels = belief.labels
+    x = _emptiest(problem, labels, N_AGAIN, rng)
+    sure = belief.see(x).surrogate_h < SURPRISE
+    before = labels.n
+    labels = yield from ask(problem, labels, x, snapshot)
+    met = labels.y[before:] == 1
+    return labels, bool((met & sure[: len(met)]).any())
+
+
+def _emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
+    """Situations (n, d) that traffic reaches, each the farthest from all runs."""
+    wide = inflated(problem.traffic, (1.0, INFLATION, INFLATION**2))
+    pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+    rows = reachable(pool)
+    chosen = farthest(pool.u[rows], labels.u, np.arange(len(rows)), n)
+    return np.asarray(pool.x[rows][chosen])

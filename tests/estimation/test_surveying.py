@@ -1,0 +1,99 @@
+"""Without an order, crash regions far from the first one found are looked for, and found."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from crashrate.estimation import sequential, surveying
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.campaign import Campaign
+from crashrate.estimation.run import estimate
+
+LEVEL = norm.isf(5e-4)
+
+
+def two_sides(x):
+    return np.abs(x[:, 0]) > LEVEL
+
+
+P = 1e-3
+
+
+def found(cases, seed, **options):
+    options = {"max_calls": 400, "relative_half_width": 0.25} | options
+    return estimate(two_sides, cases.standard_normal(2), seed=seed, **options)
+
+
+def test_both_sides_are_found(cases, check_coverage):
+    studies = [found(cases, seed) for seed in range(8)]
+    check_coverage([s.interval for s in studies], P)
+    assert all(s.stop_reason is StopReason.TARGET_MET for s in studies)
+    assert np.mean([s.probability for s in studies]) == pytest.approx(P, rel=0.12)
+
+
+def test_without_surveys_one_side_is_lost(cases, monkeypatch):
+    monkeypatch.setattr(surveying, "N_FIRST", 0)
+    monkeypatch.setattr(surveying, "N_AGAIN", 0)
+    ratios = [found(cases, seed).probability / P for seed in range(4)]
+    assert min(ratios) < 0.7
+
+
+def test_a_surprise_voids_what_was_estimated_and_a_clean_look_ends_it(cases, monkeypatch):
+    """The first survey left out: the look at the end has to find the other side."""
+    monkeypatch.setattr(surveying, "N_FIRST", 0)
+    looks = []
+    look = surveying.survey
+
+    def watched(*arguments):
+        labels, surprise = yield from look(*arguments)
+        looks.append(surprise)
+        return labels, surprise
+
+    monkeypatch.setattr(sequential, "survey", watched)
+    ratios = []
+    for seed in range(4):
+        looks.clear()
+        ratios.append(found(cases, seed).probability / P)
+        assert not looks[-1]
+        assert looks.count(False) == 1
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
+
+
+def test_an_order_needs_no_survey(cases, monkeypatch):
+    def fail(*_):
+        raise AssertionError("looked without need")
+
+    monkeypatch.setattr(sequential, "survey", fail)
+    monkeypatch.setattr(sequential, "first_survey", fail)
+    case = cases.half_plane(1e-4)
+    assert Alarm.NO_ORDER not in case.estimate(relative_half_width=0.3).alarms
+
+
+def test_surveys_come_to_an_end(cases, monkeypatch):
+    """Every look a surprise: the campaign stops after so many, the target met."""
+
+    def surprised(problem, belief, snapshot, rng):
+        labels, _ = yield from surveying.survey(problem, belief, snapshot, rng)
+        return labels, True
+
+    monkeypatch.setattr(sequential, "survey", surprised)
+    monkeypatch.setattr(sequential, "MAX_SURVEYS", 2)
+    got = found(cases, 0)
+    assert got.stop_reason in {StopReason.TARGET_MET, StopReason.BUDGET_ENDED}
+
+
+def test_a_larger_budget_goes_on_from_a_smaller_one(cases):
+    options = {"seed": 3, "relative_half_width": 0.3}
+
+    def run(n):
+        campaign = Campaign(cases.standard_normal(2), max_calls=n, **options)
+        while not campaign.done:
+            campaign.tell(two_sides(campaign.ask()))
+        return campaign
+
+    whole = run(400)
+    for n in (40, 55, whole.n_calls - 3):
+        part = run(n)
+        assert part.n_calls == n
+        assert np.array_equal(part.x, whole.x[:n])
+        assert part.estimate().interval[1] >= P
