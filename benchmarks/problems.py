@@ -227,6 +227,30 @@ def disc(*, ordered: bool = False) -> Benchmark:
     return Benchmark(traffic, order, crash, 1e-6)
 
 
+def two_sides(upper: float, lower: float) -> Benchmark:
+    """The first of two standard normals beyond either of two quantiles: two regions, no order."""
+    from scipy.special import ndtri
+
+    top, bottom = -ndtri(upper), ndtri(lower)
+
+    def crash(x: Rows) -> Outcomes:
+        return (x[:, 0] > top) | (x[:, 0] < bottom)
+
+    return Benchmark(_standard_normal(2), None, crash, upper + lower)
+
+
+def elbow(d: int, *, share: float = 1e-4) -> Benchmark:
+    """One of the first two of d standard normals above a quantile, no order declared: an L."""
+    from scipy.special import ndtri
+
+    level = -ndtri(share)
+
+    def crash(x: Rows) -> Outcomes:
+        return np.any(x[:, :2] > level, axis=1)
+
+    return Benchmark(_standard_normal(d), None, crash, 1 - (1 - share) ** 2)
+
+
 def cut_in() -> Benchmark:
     """The published traffic model of cut-ins, and the published ACC + AEB vehicle.
 
@@ -261,5 +285,9 @@ PROBLEMS: Mapping[str, Callable[[], Benchmark]] = {
     "corner": corner,
     "disc": disc,
     "disc, wrong order": lambda: disc(ordered=True),
+    "two sides": lambda: two_sides(5e-5, 5e-5),
+    "uneven sides": lambda: two_sides(8e-6, 2e-6),
+    "elbow": lambda: elbow(2),
+    "elbow, d = 3": lambda: elbow(3),
     "cut-in": cut_in,
 }

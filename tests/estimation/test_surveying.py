@@ -12,16 +12,16 @@ from crashrate.estimation.run import estimate
 LEVEL = norm.isf(5e-4)
 
 
-def two_sides(x):
-    return np.abs(x[:, 0]) > LEVEL
+def two_sides(x, level=LEVEL):
+    return np.abs(x[:, 0]) > level
 
 
 P = 1e-3
 
 
-def found(cases, seed, **options):
+def found(cases, seed, crash=two_sides, **options):
     options = {"max_calls": 400, "relative_half_width": 0.25} | options
-    return estimate(two_sides, cases.standard_normal(2), seed=seed, **options)
+    return estimate(crash, cases.standard_normal(2), seed=seed, **options)
 
 
 def test_both_sides_are_found(cases, check_coverage):
@@ -80,6 +80,34 @@ def test_surveys_come_to_an_end(cases, monkeypatch):
     monkeypatch.setattr(sequential, "MAX_SURVEYS", 2)
     got = found(cases, 0)
     assert got.stop_reason in {StopReason.TARGET_MET, StopReason.BUDGET_ENDED}
+
+
+def rarely(x):
+    return two_sides(x, norm.isf(1e-4))
+
+
+def unlucky(cases):
+    """A seed of whose thirty random encounters one crashes, as of one campaign in 170."""
+    from crashrate.estimation.strategy import Problem
+
+    traffic = cases.standard_normal(2)
+    for seed in range(1000):
+        rng = Problem(traffic=traffic, seed=seed).rng(sequential.ENCOUNTERS)
+        if rarely(traffic.sample(30, rng)).any():
+            return seed
+    raise AssertionError
+
+
+def test_an_unlucky_encounter_is_outvoted_by_more_of_them(cases, monkeypatch):
+    seed = unlucky(cases)
+    got = found(cases, seed, rarely)
+    assert got.stop_reason is StopReason.TARGET_MET
+    assert Alarm.ENCOUNTERS_DISAGREE not in got.alarms
+    assert got.interval[0] < 2e-4 < got.interval[1]
+    monkeypatch.setattr(sequential, "_outvoted", lambda *_: False)
+    stuck = found(cases, seed, rarely, max_calls=got.n_calls)
+    assert Alarm.ENCOUNTERS_DISAGREE in stuck.alarms
+    assert stuck.interval[1] > 0.05
 
 
 def test_a_larger_budget_goes_on_from_a_smaller_one(cases):

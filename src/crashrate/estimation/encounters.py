@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import betaincinv
 
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.probing import ask
-from crashrate.estimation.strategy import Problem, Query
+from crashrate.estimation.probing import EXPLORING, ask
+from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.variables import FloatArray
 
 N_ENCOUNTERS = 30
@@ -32,18 +32,21 @@ class Encounters:
     n: int = 0
     n_crashes: int = 0
 
+    def __add__(self, other: "Encounters") -> "Encounters":
+        return Encounters(self.n + other.n, self.n_crashes + other.n_crashes)
+
     def speak_against(self, upper: float) -> bool:
         """Whether they exclude a probability of `upper` or less."""
         return interval(self.n_crashes, self.n, LEVEL)[0] > upper
 
 
 def meet(
-    problem: Problem, labels: Labels, rng: np.random.Generator
+    problem: Problem, labels: Labels, rng: np.random.Generator, snapshot: Snapshot = EXPLORING
 ) -> Generator[Query, FloatArray, tuple[Labels, Encounters]]:
     """Simulate random encounters."""
     x = problem.traffic.sample(N_ENCOUNTERS, rng)
     before = labels.n
-    labels = yield from ask(problem, labels, x)
+    labels = yield from ask(problem, labels, x, snapshot)
     y = labels.y[before:]
     known = y[~np.isnan(y)]
     return labels, Encounters(len(known), int(known.sum()))

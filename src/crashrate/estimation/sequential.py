@@ -38,11 +38,8 @@ from crashrate.estimation.view import Standardiser, View, see
 from crashrate.sampling.pool import Density, draw_pool
 from crashrate.variables import FloatArray
 
-BEGINNING, ENCOUNTERS, SURVEYS = (
-    2_000_000,
-    2_000_001,
-    2_000_002,
-)  # random streams beside those of the rounds
+# random streams beside those of the rounds
+BEGINNING, ENCOUNTERS, SURVEYS, MORE = 2_000_000, 2_000_001, 2_000_002, 3_000_000
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
@@ -147,6 +144,14 @@ def sequential(problem: Problem) -> Learner:
         if snapshot.stop_reason is not StopReason.RUNNING and not (state.ordered or state.surveyed):
             state = yield from _survey(problem, state, snapshot)
             snapshot = _snapshot(problem, state, view)
+        if _outvoted(problem, state):
+            # one crash among thirty encounters may be bad luck, or what the surrogate never saw:
+            # more encounters tell, more rounds do not
+            rng = problem.rng(MORE + state.k)
+            labels, met = yield from meet(problem, state.labels, rng, snapshot)
+            seen = (state.encounters or Encounters()) + met
+            state = replace(state, labels=labels, encounters=seen)
+            snapshot = _snapshot(problem, state, view)
         state = _directed(problem, state, snapshot)
         if snapshot.stop_reason is not StopReason.RUNNING and not state.members:
             break
@@ -169,6 +174,15 @@ def _survey(
         state = replace(state, rounds=(), model=state.model.forgetting())
     surveyed = not surprise or done == MAX_SURVEYS
     return replace(state, labels=labels, n_surveys=done, surveyed=surveyed)
+
+
+def _outvoted(problem: Problem, state: State) -> bool:
+    """Whether the encounters alone keep the rounds' estimate from its target."""
+    if state.encounters is None or len(state.rounds) < MIN_ROUNDS:
+        return False
+    c = combine(state.rounds, problem.confidence)
+    narrow = (c.upper - c.lower) / 2 <= problem.target_at(state.labels.n) * c.estimate
+    return bool(narrow and c.estimate > 0 and state.encounters.speak_against(c.upper))
 
 
 def _belief(state: State) -> Belief:

@@ -13,7 +13,7 @@ from crashrate.recordings.severity import Severity
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import BoolArray, FloatArray
 
-STREAM = 3_000_000  # random streams beside those of the campaign
+STREAM = 4_000_000  # random streams beside those of the campaign
 
 
 @dataclass(frozen=True, eq=False)
