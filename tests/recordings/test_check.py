@@ -77,6 +77,8 @@ def test_rivals_know_the_margin_when_the_variables_are_independent(right):
     free = right.rivals[0]
     assert free.probability == pytest.approx(P, rel=0.7)  # a fit to 20,000 events, far beyond them
     assert free.ladder.p_value > 0.001
+    # a is all that the near misses ask for, and both laws know it as well as the model
+    assert free.near_misses[0] == pytest.approx(right.tails[0].counts, rel=0.5)
 
 
 def test_influence_names_the_largest_events(right, known):

@@ -29,7 +29,7 @@ def found(ladder):
         Replay(157_757, 10, 1, 0, (136_426,)), ladder,
         Extremes(1e-6, (0.0, 9e-6), (0.0, 1e-5), -0.1, 250, 2.0),
         (TAIL,), Influential((EVENT,), 0.63, 0.26, 0),
-        (Rival("independent marginals", 522_221.0, 2.5e-4, 1e-6, BARE),), 11_703,
+        (Rival("independent marginals", 522_221.0, 2.5e-4, 1e-6, BARE, ((33.0, 777.0),)),), 11_703,
     )  # fmt: skip
 
 
@@ -59,6 +59,8 @@ def test_a_level_outside_its_range_is_marked(make):
     (near,) = [s for s in sheets(make(found(BARE))) if s.key == "near-misses"]
     assert [row[2] for row in near.rows] == ["12.6", "140 (outside)"]
     assert near.rows[0][0] == "TTC ≤ 1.6 s"
+    assert near.headings[-1] == "Independent marginals"
+    assert [row[-1] for row in near.rows] == ["33", "777"]
 
 
 def test_without_recordings_the_page_says_so(build):

@@ -15,7 +15,7 @@ from crashrate.recordings.expectation import Draws
 from crashrate.recordings.extremes import Extremes, extremes
 from crashrate.recordings.influential import Influential, influential
 from crashrate.recordings.ladder import Ladder, ladder
-from crashrate.recordings.near_misses import Quantity, Tail, tails
+from crashrate.recordings.near_misses import Quantity, Tail, expected_beyond, tails
 from crashrate.recordings.replay import Replay
 from crashrate.recordings.rivals import Rival, rival
 from crashrate.traffic.alternatives import alternatives
@@ -166,7 +166,7 @@ def check(
         moved = parts.get("influence", lambda: _influential(c, draws, ratios[:, 0]))
     near = parts.get("near misses", lambda: tails(quantities, c.events.values, _ordinary(c)))
     margins = parts.get("extreme values", lambda: _extremes(c))
-    rivals = parts.get("other laws of traffic", lambda: _rivals(c))
+    rivals = parts.get("other laws of traffic", lambda: _rivals(c, quantities, near or ()))
     duplicates = n_duplicates(c.events.values)
     return Check(replay, steps, margins, near or (), moved, rivals or (), duplicates, parts.failed)
 
@@ -203,9 +203,14 @@ def _extremes(c: Comparison) -> Extremes | None:
     return extremes(np.log(critical), len(c.events), c.confidence)
 
 
-def _rivals(c: Comparison) -> tuple[Rival, ...]:
+def _rivals(
+    c: Comparison, quantities: Sequence[Quantity], near: Sequence[Tail]
+) -> tuple[Rival, ...]:
+    def count(x: FloatArray) -> tuple[tuple[float, ...], ...]:
+        return expected_beyond(quantities, near, x, len(c.events))
+
     laws = alternatives(c.z, c.traffic.modelled.lower, c.traffic.modelled.upper)
-    return tuple(rival(c, law, 10 * (1 + k)) for k, law in enumerate(laws))
+    return tuple(rival(c, law, count, 10 * (1 + k)) for k, law in enumerate(laws))
 
 
 def n_duplicates(x: FloatArray) -> int:

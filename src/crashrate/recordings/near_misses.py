@@ -80,8 +80,7 @@ class Tail:
 
 def tail_of(quantity: Quantity, events: FloatArray, draws: FloatArray) -> Tail:
     """Compare the dangerous tails of recorded events x (n, d) and of a model's draws (m, d)."""
-    seen = np.sort(quantity.sign * quantity.of(events))[::-1]
-    drawn = np.sort(quantity.sign * quantity.of(draws))[::-1]
+    seen, drawn = _falling(quantity, events), _falling(quantity, draws)
     levels = np.unique([seen[rank - 1] for rank in RANKS if rank <= len(events) // 10])[::-1]
     counts = _beyond(seen, levels)  # as many as the rank, and more where values are rounded
     every = len(events) / len(drawn)
@@ -118,6 +117,27 @@ def _quantiles(
     ranks = np.unique(np.geomspace(1, top, N_POINTS).round().astype(int))
     there = np.minimum((ranks - 0.5) / n * len(drawn), len(drawn) - 1).astype(int)
     return tuple((sign * seen[ranks - 1]).tolist()), tuple((sign * drawn[there]).tolist())
+
+
+def expected_beyond(
+    quantities: Sequence[Quantity], found: Sequence[Tail], draws: FloatArray, n_events: int
+) -> tuple[tuple[float, ...], ...]:
+    """Events beyond the levels of tails that another law expects, by its draws (m, d)."""
+    by_name = {q.name: q for q in quantities}
+    every = n_events / len(draws)
+    return tuple(
+        tuple(every * b for b in _beyond(_falling(by_name[t.name], draws), _signed(t)))
+        for t in found
+    )
+
+
+def _falling(quantity: Quantity, x: FloatArray) -> FloatArray:
+    """Values, the most dangerous first, larger ones more dangerous."""
+    return np.sort(quantity.sign * quantity.of(x))[::-1]
+
+
+def _signed(tail: Tail) -> FloatArray:
+    return tail.sign * np.array(tail.levels)
 
 
 def tails(

@@ -1,13 +1,16 @@
 """Other laws of traffic beside the joint model, with the same checks."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from crashrate.recordings.comparison import Comparison
 from crashrate.recordings.ladder import Ladder, ladder
 from crashrate.traffic.alternatives import CopulaLaw
+from crashrate.variables import FloatArray
+
+N_DRAWS = 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +26,8 @@ class Rival:
         Of a crash, by what the campaign learned; the error is that of the draws alone.
     ladder : Ladder
         One level where no severity is declared.
+    near_misses : tuple of tuple of float
+        Events that it expects beyond the levels of each tail.
     """
 
     name: str
@@ -30,6 +35,7 @@ class Rival:
     probability: float
     standard_error: float
     ladder: Ladder
+    near_misses: tuple[tuple[float, ...], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""
@@ -38,11 +44,19 @@ class Rival:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Rival":
         """What `to_dict` wrote."""
-        return cls(**{**values, "ladder": Ladder.from_dict(values["ladder"])})
+        near = tuple(tuple(counts) for counts in values["near_misses"])
+        steps = Ladder.from_dict(values["ladder"])
+        return cls(**{**values, "ladder": steps, "near_misses": near})
 
 
-def rival(c: Comparison, law: CopulaLaw, stream: int) -> Rival:
-    """A law, fitted to the events of a comparison, beside them; random streams from `stream` on."""
+Near = Callable[[FloatArray], tuple[tuple[float, ...], ...]]
+
+
+def rival(c: Comparison, law: CopulaLaw, near: Near, stream: int) -> Rival:
+    """A law, fitted to the events of a comparison, beside them.
+
+    `near` counts near misses among its draws x (n, d); random streams from `stream` on.
+    """
     log_likelihood = float(law.log_density(c.z).sum() + c.traffic.scales.log_jacobian(c.z).sum())
     draws = c.draws(law, stream)
     return Rival(
@@ -51,4 +65,5 @@ def rival(c: Comparison, law: CopulaLaw, stream: int) -> Rival:
         float(draws.probabilities[0]),
         float(draws.standard_errors[0]),
         ladder(c.levels, c.first, draws, c.rng(stream + 1)),
+        near(c.traffic.scales.back(law.sample(N_DRAWS, c.rng(stream + 2)))),
     )

@@ -7,6 +7,7 @@ from crashrate.recordings.influential import Influential
 from crashrate.recordings.ladder import Ladder
 from crashrate.recordings.near_misses import Tail
 from crashrate.recordings.replay import Replay
+from crashrate.recordings.rivals import Rival
 from crashrate.reports.axes import units_of, variable_axes
 from crashrate.reports.numbers import count, interval_text, percent, plain, power_of_ten
 from crashrate.runs.record import RunRecord
@@ -50,7 +51,7 @@ def sheets(record: RunRecord) -> tuple[Sheet, ...]:
     if found.ladder is not None:
         parts.append(_ladder(found.ladder))
     if found.tails:
-        parts.append(_tails(found.tails))
+        parts.append(_tails(found.tails, found.rivals))
     if found.influential is not None:
         parts.append(_influence(record, found, found.influential))
     return tuple(parts)
@@ -73,7 +74,7 @@ def _ways(record: RunRecord, c: Check) -> Sheet:
              "–", "–")
         )  # fmt: skip
     rows += [
-        (r.name[0].upper() + r.name[1:], power_of_ten(r.probability), "–", count(r.bic),
+        (_named(r), power_of_ten(r.probability), "–", count(r.bic),
          _deviance(r.ladder))
         for r in c.rivals
     ]  # fmt: skip
@@ -84,6 +85,10 @@ def _ways(record: RunRecord, c: Check) -> Sheet:
         ("", "Probability", f"{100 * c.replay.confidence:g} % interval", "BIC", "Ladder"),
         tuple(rows),
     )
+
+
+def _named(r: Rival) -> str:
+    return r.name[0].upper() + r.name[1:]
 
 
 def _ways_text(c: Check) -> str:
@@ -181,22 +186,17 @@ def _tested(ladder: Ladder) -> str:
     )
 
 
-def _tails(tails: tuple[Tail, ...]) -> Sheet:
+def _tails(tails: tuple[Tail, ...], rivals: tuple[Rival, ...]) -> Sheet:
     rows = []
-    for tail in tails:
-        sides = zip(tail.counts, tail.levels, tail.expected, tail.low, tail.high, strict=True)
-        for rank, level, expected, low, high in sides:
+    for k, tail in enumerate(tails):
+        sides = zip(tail.levels, tail.counts, tail.expected, tail.low, tail.high, strict=True)
+        for i, (level, n, expected, low, high) in enumerate(sides):
             sign = "≥" if tail.sign > 0 else "≤"
             what = f"{tail.name} {sign} {plain(level, 3)} {tail.unit}".rstrip()
             odd = "" if low <= expected <= high else " (outside)"
-            rows.append(
-                (
-                    what,
-                    count(rank),
-                    _amount(expected) + odd,
-                    f"{_amount(low)} to {_amount(high)}",
-                )
-            )
+            others = [_amount(r.near_misses[k][i]) for r in rivals]
+            between = f"{_amount(low)} to {_amount(high)}"
+            rows.append((what, count(n), _amount(expected) + odd, between, *others))
     return Sheet(
         "near-misses",
         "Near misses",
@@ -206,7 +206,7 @@ def _tails(tails: tuple[Tail, ...]) -> Sheet:
         "say that the model misses its tail. TTC is the time to collision, range over closing "
         "speed; DRAC the deceleration that avoids it, closing speed² / (2 range); the minimum gap "
         "is that of the simulated encounter.",
-        ("Level", "Events", "Expected", "95 % if right"),
+        ("Level", "Events", "Expected", "95 % if right", *(_named(r) for r in rivals)),
         tuple(rows),
     )
 
