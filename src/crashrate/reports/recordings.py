@@ -201,7 +201,7 @@ def _tails(tails: tuple[Tail, ...], rivals: tuple[Rival, ...]) -> Sheet:
         "near-misses",
         "Near misses",
         "How many events come at least as near to a crash as a level, and how many the traffic "
-        "model expects. The last column is where the expected number lies for 95 % of recordings "
+        "model expects. “95 % if right” is where the expected number lies for 95 % of recordings "
         "if the model is right: one row in twenty lies outside by chance, several of one quantity "
         "say that the model misses its tail. TTC is the time to collision, range over closing "
         "speed; DRAC the deceleration that avoids it, closing speed² / (2 range); the minimum gap "
