@@ -82,6 +82,14 @@ def test_surveys_come_to_an_end(cases, monkeypatch):
     assert got.stop_reason in {StopReason.TARGET_MET, StopReason.BUDGET_ENDED}
 
 
+def test_a_campaign_that_looks_again_is_not_finished(cases):
+    campaign = Campaign(cases.standard_normal(2), seed=1, relative_half_width=0.3, max_calls=400)
+    while not campaign.done:
+        assert campaign.estimate().stop_reason is StopReason.RUNNING
+        campaign.tell(two_sides(campaign.ask()))
+    assert campaign.estimate().stop_reason is StopReason.TARGET_MET
+
+
 def rarely(x):
     return two_sides(x, norm.isf(1e-4))
 

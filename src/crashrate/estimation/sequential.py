@@ -168,7 +168,8 @@ def _survey(
 ) -> Generator[Query, FloatArray, State]:
     """Look at the emptiest places; what was estimated is void where a crash comes as a surprise."""
     rng = problem.rng(SURVEYS + 1 + state.n_surveys)
-    labels, surprise = yield from survey(problem, _belief(state), snapshot, rng)
+    running = replace(snapshot, stop_reason=StopReason.RUNNING)
+    labels, surprise = yield from survey(problem, _belief(state), running, rng)
     done = state.n_surveys + 1
     if surprise:
         state = replace(state, rounds=(), model=state.model.forgetting())
