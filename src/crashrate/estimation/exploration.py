@@ -81,7 +81,7 @@ def explore(problem: Problem) -> Exploration:
         elif (labels.y == 0).any():
             labels = labels.without_order()  # the most dangerous situations are safe: not believed
     if not (labels.y == 1).any():
-        wide = inflated(problem.traffic, _factors(INFLATION))
+        wide = inflated(problem.traffic, factors(INFLATION))
         labels = yield from _fill_space(problem, labels, wide, rng)
     if (labels.y == 1).any():
         labels = yield from _search_lines(problem, labels, ordinary)
@@ -89,7 +89,8 @@ def explore(problem: Problem) -> Exploration:
     return Explored(labels, wide, u)
 
 
-def _factors(inflation: float) -> tuple[float, ...]:
+def factors(inflation: float) -> tuple[float, ...]:
+    """Of covariances: from traffic itself to far beyond it."""
     return 1.0, inflation, inflation**2
 
 
@@ -104,7 +105,7 @@ def _inflate(
 ) -> Generator[Query, FloatArray, tuple[Labels, Gaussians, Pool]]:
     """Inflate the traffic model until its most dangerous draw crashes."""
     for step in range(MAX_INFLATIONS):
-        wide = inflated(problem.traffic, _factors(INFLATION * INFLATION_STEP**step))
+        wide = inflated(problem.traffic, factors(INFLATION * INFLATION_STEP**step))
         pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
         worst = int(np.argmax(danger(pool.u)))
         labels = yield from ask(problem, labels, pool.x[worst : worst + 1])

@@ -182,8 +182,8 @@ def _outvoted(problem: Problem, state: State) -> bool:
     if state.encounters is None or len(state.rounds) < MIN_ROUNDS:
         return False
     c = combine(state.rounds, problem.confidence)
-    narrow = (c.upper - c.lower) / 2 <= problem.target_at(state.labels.n) * c.estimate
-    return bool(narrow and c.estimate > 0 and state.encounters.speak_against(c.upper))
+    narrow = _narrow(problem, state, c, (c.lower, c.upper))
+    return narrow and state.encounters.speak_against(c.upper)
 
 
 def _belief(state: State) -> Belief:
@@ -362,11 +362,15 @@ def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float
 
 
 def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
-    low, high = _interval(problem, state, c)
-    narrow = (high - low) / 2 <= problem.target_at(state.labels.n) * c.estimate
-    if c.n_rounds >= MIN_ROUNDS and c.estimate > 0 and narrow:
+    if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, c, _interval(problem, state, c)):
         return StopReason.TARGET_MET
     return StopReason.RUNNING
+
+
+def _narrow(problem: Problem, state: State, c: Combined, around: tuple[float, float]) -> bool:
+    """Whether an interval around the estimate meets the target in force."""
+    half = (around[1] - around[0]) / 2
+    return bool(c.estimate > 0 and half <= problem.target_at(state.labels.n) * c.estimate)
 
 
 def _alarms(

@@ -11,7 +11,7 @@ from collections.abc import Generator
 import numpy as np
 
 from crashrate.estimation.belief import Belief
-from crashrate.estimation.exploration import INFLATION, N_WIDE, inflated
+from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import ask, farthest, reachable
 from crashrate.estimation.strategy import Problem, Query, Snapshot
@@ -48,7 +48,7 @@ def survey(
 
 def _emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
     """Situations (n, d) that traffic reaches, each the farthest from all runs."""
-    wide = inflated(problem.traffic, (1.0, INFLATION, INFLATION**2))
+    wide = inflated(problem.traffic, factors(INFLATION))
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
     rows = reachable(pool)
     chosen = farthest(pool.u[rows], labels.u, np.arange(len(rows)), n)

@@ -16,6 +16,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import xlog1py
 from scipy.stats import chi2
 
+from crashrate.recordings.stored import as_fields, as_stored
 from crashrate.variables import FloatArray
 
 MOST_EXCEEDANCES, LARGEST_SHARE = 250, 0.05  # a larger part of the events is no tail
@@ -57,15 +58,12 @@ class Extremes:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+        return as_stored(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Extremes":
         """What `to_dict` wrote."""
-        read: dict[str, Any] = {
-            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
-        }
-        return cls(**read)
+        return cls(**as_fields(values))
 
 
 @dataclass(frozen=True, eq=False)

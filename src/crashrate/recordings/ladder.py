@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import xlogy
 
 from crashrate.recordings.expectation import Draws
+from crashrate.recordings.stored import as_fields, as_stored
 from crashrate.variables import FloatArray
 
 MISFIT = 0.01  # the alarm's level
@@ -58,25 +59,12 @@ class Ladder:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""
-        return {
-            "levels": list(self.levels),
-            "observed": list(self.observed),
-            "expected": list(self.expected),
-            "low": list(self.low),
-            "high": list(self.high),
-            "deviance": self.deviance,
-            "p_value": self.p_value,
-        }
+        return as_stored(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Ladder":
         """What `to_dict` wrote."""
-        lists = ("levels", "observed", "expected", "low", "high")
-        return cls(
-            **{key: tuple(values[key]) for key in lists},
-            deviance=float(values["deviance"]),
-            p_value=float(values["p_value"]),
-        )
+        return cls(**as_fields(values))
 
 
 def ladder(

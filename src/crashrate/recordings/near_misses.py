@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import nbinom
 
+from crashrate.recordings.stored import as_fields, as_stored
 from crashrate.variables import FloatArray
 
 RANKS = (10, 100, 1000)
@@ -67,23 +68,24 @@ class Tail:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+        return as_stored(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Tail":
         """What `to_dict` wrote."""
-        read: dict[str, Any] = {
-            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
-        }
-        return cls(**read)
+        return cls(**as_fields(values))
 
 
 def tail_of(quantity: Quantity, events: FloatArray, draws: FloatArray) -> Tail:
     """Compare the dangerous tails of recorded events x (n, d) and of a model's draws (m, d)."""
-    seen, drawn = _falling(quantity, events), _falling(quantity, draws)
-    levels = np.unique([seen[rank - 1] for rank in RANKS if rank <= len(events) // 10])[::-1]
+    return _compared(quantity, _falling(quantity, events), _falling(quantity, draws))
+
+
+def _compared(quantity: Quantity, seen: FloatArray, drawn: FloatArray) -> Tail:
+    """The tails of events' and draws' values, each with the most dangerous first."""
+    levels = np.unique([seen[rank - 1] for rank in RANKS if rank <= len(seen) // 10])[::-1]
     counts = _beyond(seen, levels)  # as many as the rank, and more where values are rounded
-    every = len(events) / len(drawn)
+    every = len(seen) / len(drawn)
     # beyond the event of rank r the model expects a Gamma(r) number, of which draws see a Poisson
     # one: negative binomial together
     low, high = (
@@ -144,4 +146,6 @@ def tails(
     quantities: Sequence[Quantity], events: FloatArray, draws: FloatArray
 ) -> tuple[Tail, ...]:
     """The tails of all quantities, those that do not vary left out."""
-    return tuple(tail_of(q, events, draws) for q in quantities if np.ptp(q.of(events)) > 0)
+    # once: a quantity may be a simulation of every event
+    seen = [(q, _falling(q, events)) for q in quantities]
+    return tuple(_compared(q, v, _falling(q, draws)) for q, v in seen if v[0] > v[-1])

@@ -50,28 +50,35 @@ def require_severity(scenario: Scenario, events: EventTable) -> None:
         return
     _require_nothing_at_1(scenario, severity, events)
     calm = _coordinates(scenario, events.values, 1.0)
-    for level in severity.levels:
+    for level in severity.levels[1:]:  # at the first, 1, nothing changes
         worse = severity(events.values, level)
         bad = np.argwhere(~np.isfinite(worse))
         if len(bad):
             i, j = (int(v) for v in bad[0])
-            raise ScenarioError(
-                f"{scenario.name}.toml, [severity]: expected finite numbers, got {worse[i, j]} for "
+            raise _refused(
+                scenario,
+                f"expected finite numbers, got {worse[i, j]} for "
                 f"{events.names[j]} of event {int(events.rows[i]) + 1} at severity {level:g}; "
-                "change the expression."
+                "change the expression.",
             )
         _require_worse(scenario, events, calm, _coordinates(scenario, worse, level), level)
 
 
+def _refused(scenario: Scenario, why: str) -> ScenarioError:
+    return ScenarioError(f"{scenario.name}.toml, [severity]: {why}")
+
+
 def _require_nothing_at_1(scenario: Scenario, severity: Severity, events: EventTable) -> None:
-    same = np.isclose(severity(events.values, 1.0), events.values, rtol=1e-9)
+    at_1 = severity(events.values, 1.0)
+    same = np.isclose(at_1, events.values, rtol=1e-9)
     if not same.all():
         i, j = (int(v) for v in np.argwhere(~same)[0])
-        raise ScenarioError(
-            f"{scenario.name}.toml, [severity]: expected an event as it was recorded at severity "
-            f"1, got {severity(events.values[i : i + 1], 1.0)[0, j]:g} in place of "
+        raise _refused(
+            scenario,
+            f"expected an event as it was recorded at severity "
+            f"1, got {at_1[i, j]:g} in place of "
             f"{events.values[i, j]:g} for {events.names[j]} of event {int(events.rows[i]) + 1}; "
-            f"write it so that 1 changes nothing, such as {events.names[j]} * severity."
+            f"write it so that 1 changes nothing, such as {events.names[j]} * severity.",
         )
 
 
@@ -83,9 +90,7 @@ def _coordinates(scenario: Scenario, x: FloatArray, level: float) -> FloatArray 
     try:
         return RiskOrder.from_mapping(risk, scenario.names)(x)
     except InvalidInputError as error:
-        raise ScenarioError(
-            f"{scenario.name}.toml, [severity]: at severity {level:g}: {error}"
-        ) from error
+        raise _refused(scenario, f"at severity {level:g}: {error}") from error
 
 
 def _require_worse(
@@ -100,10 +105,11 @@ def _require_worse(
     safer = np.argwhere(worse < calm - 1e-9 * np.abs(calm))
     if len(safer):
         i, k = (int(v) for v in safer[0])
-        raise ScenarioError(
-            f"{scenario.name}.toml, [severity]: at severity {level:g} event "
+        raise _refused(
+            scenario,
+            f"at severity {level:g} event "
             f"{int(events.rows[i]) + 1} is less dangerous in {[*(scenario.risk or ())][k]!r} than "
-            "as it was recorded, by the order of [risk]; a severity makes events worse."
+            "as it was recorded, by the order of [risk]; a severity makes events worse.",
         )
 
 

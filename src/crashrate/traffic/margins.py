@@ -4,6 +4,7 @@ For comparison with the joint model only: see `alternatives`.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -90,7 +91,7 @@ class Margin:
         """Free parameters."""
         return 3 * self.body.n_components - 1 + (3 if self.tail else 0)
 
-    @property
+    @cached_property
     def _rest(self) -> float:
         """Share of the law that the body keeps, over its own mass there."""
         if self.tail is None:
@@ -139,7 +140,7 @@ class Margin:
             z[beyond] = self.tail.quantile_above(ndtr(-scores[beyond]))
         return np.asarray(z)
 
-    @property
+    @cached_property
     def _grid(self) -> FloatArray:
         """Values that hold all but a rounding of the body."""
         spread = 9 * float(np.sqrt(self.body.covariance[0, 0]))
@@ -148,6 +149,6 @@ class Margin:
         high = min(float(self.body.upper[0]), centre + spread)
         return frozen(np.linspace(low, high, N_GRID))
 
-    @property
+    @cached_property
     def _step(self) -> float:
         return float(self._grid[1] - self._grid[0])
