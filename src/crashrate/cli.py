@@ -42,6 +42,13 @@ class Method(StrEnum):
     HUANG2017 = "huang2017"
 
 
+class Goal(StrEnum):
+    """What the simulator runs are spent on."""
+
+    PROBABILITY = "probability"
+    BOUNDS = "bounds"
+
+
 # --- arguments
 
 
@@ -251,6 +258,12 @@ def run(
     max_calls: Annotated[
         int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
     ] = None,
+    goal: Annotated[
+        Goal | None,
+        typer.Option(
+            help="An estimate, or bounds if the risk order holds; the scenario's where not given."
+        ),
+    ] = None,
     replay_calls: Annotated[
         int,
         typer.Option(
@@ -290,6 +303,7 @@ def run(
             method=method.value,
             relative_half_width=relative_half_width,
             max_calls=max_calls,
+            goal=goal and goal.value,
             same_vehicle=same_vehicle,
             events=events,
             replay_calls=replay_calls,

@@ -21,16 +21,18 @@ HALF_WIDTH = "a number above 0 and up to 1 (0.1 means ± 10 %)"
 FUNCTION_EXAMPLE = (
     'function = "my_simulator:crashes", the function crashes in my_simulator.py beside this file'
 )
+GOALS = ("probability", "bounds")
 CLOSING = ("inv_ttc", "closing_speed")
 
 
 @dataclass(frozen=True)
 class Target:
-    """How tight an interval is wanted, and how many simulator runs it may cost."""
+    """What is wanted, how tight, and how many simulator runs it may cost."""
 
     relative_half_width: float = Problem.relative_half_width
     max_calls: int = Problem.max_calls
     confidence: float = Problem.confidence
+    goal: str = "probability"
 
 
 @dataclass(frozen=True)
@@ -173,12 +175,15 @@ def read_simulator(section: Table) -> SimulatorChoice:
 
 def read_target(section: Table) -> Target:
     """The target and the budget."""
-    section.only(("relative_half_width", "max_calls", "confidence"))
+    section.only(("relative_half_width", "max_calls", "confidence", "goal"))
     target = Target(
         section.number("relative_half_width", Target.relative_half_width),
         section.integer("max_calls", Target.max_calls),
         section.number("confidence", Target.confidence),
+        section.text("goal", Target.goal),
     )
+    if target.goal not in GOALS:
+        raise section.error(f"goal: unknown goal {target.goal!r}{nearest(target.goal, GOALS)}")
     checks = (
         (0 < target.relative_half_width <= 1, "relative_half_width", HALF_WIDTH),
         (target.max_calls >= 1, "max_calls", "at least 1"),
