@@ -132,7 +132,8 @@ class Estimate:
         if self.bounds == (0.0, 1.0):
             return f"P({event}) has no bounds: {self._why_unbounded()}"
         factor = f", a factor of {self.bounds_factor:.3g}" if low > 0 else ""
-        return f"if the risk order holds: {low:.1e} ≤ P({event}) ≤ {high:.1e} per {per}{factor}"
+        bracket = f"{low:.1e} ≤ P({event}) ≤ {high:.1e} per {per}"
+        return f"bounds if the risk order holds: {bracket}{factor}"
 
     def _why_unbounded(self) -> str:
         if 0 < self.n_calls == self.n_failed:
