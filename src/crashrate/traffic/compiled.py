@@ -43,8 +43,9 @@ def compiled_totals(d: int) -> Callable[..., None]:
     # `contract` alone: sums keep their order, only a * b + c is rounded once
     @numba.njit(numba.types.void(*given, numba.float64[::1]), fastmath={"contract"}, cache=True)
     def totals(x, shift, peaks, roots, out):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
-        y = np.zeros((d, _WIDTH))
-        sums = np.empty(_WIDTH)
+        # one array: sums that happen to lie a page and a little from y would wait for its reads
+        room = np.zeros((d + 1, _WIDTH))
+        y, sums = room[:d], room[d]
         for start in range(0, len(x), _WIDTH):
             n = min(_WIDTH, len(x) - start)
             flat = x[start : start + n].reshape(-1)  # a stride known to the compiler
