@@ -263,9 +263,9 @@ class TrafficModel:
         ----------
         x : array_like, shape (n, d)
         fast : bool
-            With the compiled kernel of `crashrate[fast]`, about twice as fast from ten million
-            rows on: a process spends a second before its first such call, several once. The
-            last bits differ, so nothing that decides where a campaign looks asks for it.
+            With the compiled kernel of `crashrate[fast]`: half the time a row, but half a second
+            before a process's first such call (seconds once, to compile), so it gains from tens
+            of millions of rows on. The last bits differ: nothing in a campaign asks for it.
 
         Raises
         ------
