@@ -246,12 +246,9 @@ class TrafficModel:
         """Which rows (n, d) lie in the box, sides included (but no logarithm of 0): (n,)."""
         rows = as_rows(x, self.n_variables)
         within = np.ones(len(rows), dtype=bool)
-        # by columns: sixteen times faster than over rows as short as these
-        for column, low, high, log in zip(
-            rows.T, self.lower, self.upper, self.scales.log, strict=True
-        ):
-            within &= column >= low
-            within &= column <= high
+        sides = zip(rows.T, self.lower, self.upper, self.scales.log, strict=True)
+        for column, low, high, log in sides:  # sixteen times faster than over rows so short
+            within &= (column >= low) & (column <= high)
             if log:
                 within &= column > 0.0
         return within
