@@ -247,7 +247,7 @@ class TrafficModel:
         rows = as_rows(x, self.n_variables)
         within = np.ones(len(rows), dtype=bool)
         sides = zip(rows.T, self.lower, self.upper, self.scales.log, strict=True)
-        for column, low, high, log in sides:  # sixteen times faster than over rows so short
+        for column, low, high, log in sides:  # a sixth of the time that rows so short take
             within &= (column >= low) & (column <= high)
             if log:
                 within &= column > 0.0
