@@ -1,4 +1,8 @@
-"""Crude Monte Carlo: random encounters, for when exploration finds no crash."""
+"""For when exploration finds no crash: random encounters, and the emptiest places in turn.
+
+Only the random encounters bound the probability; a small crash set far from traffic's bulk is found
+by looking where no run has been.
+"""
 
 from collections.abc import Generator
 from dataclasses import replace
@@ -9,9 +13,11 @@ from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.encounters import interval
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.estimation.surveying import emptiest
 from crashrate.variables import FloatArray
 
-CRUDE = 1_000_000  # the random stream, beside those of the rounds
+CRUDE, FAR = 1_000_000, 1_000_001  # random streams, beside those of the rounds
+MAX_FAR = 2000  # a space that so many runs do not fill will not be filled
 
 
 def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labels | Snapshot]:
@@ -25,15 +31,22 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
         Where none crashed: probability 0 with the upper end that the safe random encounters leave.
     """
     rng, n_safe, n_failed = problem.rng(CRUDE), 0, 0
+    n_far = min(problem.max_calls - labels.n, MAX_FAR)
+    far = emptiest(problem, labels, n_far, problem.rng(FAR))
     while labels.n < problem.max_calls:
         # drawn whole and then cut, so that a larger budget goes on with the same draws
         x = problem.traffic.sample(problem.batch_size, rng)[: problem.max_calls - labels.n]
         y = yield Query(x, _nothing(problem, labels, n_safe, n_failed))
         labels = labels.add(x, y)
-        if (y == 1).any():
-            return labels
         n_failed += int(np.isnan(y).sum())
         n_safe += int((y == 0).sum())
+        x, far = far[: problem.batch_size], far[problem.batch_size :]
+        x = x[: problem.max_calls - labels.n]
+        if len(x) and not (labels.y == 1).any():
+            y = yield Query(x, _nothing(problem, labels, n_safe, n_failed))
+            labels = labels.add(x, y)
+        if (labels.y == 1).any():
+            return labels
     end = _nothing(problem, labels, n_safe, n_failed)
     return replace(end, stop_reason=StopReason.BUDGET_ENDED)
 
