@@ -22,8 +22,9 @@ What differs from the literature, and why:
   narrow, and stand beside shares of traffic, which bounds the weights (Hesterberg 1995), of
   inflated traffic, and of a broad fit: a crash region that the weights leave out is drawn now and
   then, and widens the interval.
-- The interval is looked at only where the number of draws has grown by half, and is no plain normal
-  one: see `weighted_draws`.
+- The interval is no plain normal one (see `weighted_draws`), and is not looked at until twice the
+  draws that the last proposal says are needed: to stop as soon as it is narrow would stop early
+  where no large weight has come yet, five per cent too low.
 
 The risk order is used to find the first crash, if at all. Exploration's runs enter no estimate.
 
@@ -40,7 +41,7 @@ from collections.abc import Generator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtri
 
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.crash_density import broad, n_eff, sharp
@@ -61,7 +62,9 @@ MIN_ITERATIONS, MAX_ITERATIONS = 4, 10
 ENOUGH = 20  # crashes to fit to, and to judge a proposal by
 GOOD = 0.3  # of the crashes' number: as many equal ones do the weights of a good proposal leave
 GOOD_IN_A_ROW = 2
-FIRST_LOOK, GROWTH = 500, 1.5  # draws of the last proposal before the first look, and the next
+N_PER_BLOCK = 100  # draws of the last proposal
+MIN_DRAWS, MARGIN = 500, 2.0  # before the first look: at least, and times those that it may take
+GROWTH = 1.5  # of the number of draws from one look to the next
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,8 @@ class Adapted:
         The proposals, and how many draws came from each, those outside the box included.
     n_good : int
         Good proposals in a row, up to the last one.
+    n_eff_per_draw : float
+        Equally weighted crashes for each draw of the last proposal.
     """
 
     wide: Gaussians
@@ -90,6 +95,7 @@ class Adapted:
     x: FloatArray
     drawn: tuple[tuple[Blend, int], ...] = ()
     n_good: int = 0
+    n_eff_per_draw: float = 0.0
 
     @property
     def good(self) -> bool:
@@ -119,7 +125,7 @@ def cross_entropy(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
             return replace(_adapting(adapted), stop_reason=StopReason.BUDGET_ENDED)
         adapted = yield from _iterate(problem, adapted)
     proposal = _proposal(problem, adapted, problem.rng(ESTIMATING))
-    return (yield from _estimate(problem, proposal, adapted.n_calls))
+    return (yield from _estimate(problem, adapted, proposal))
 
 
 # --- adapting
@@ -137,12 +143,14 @@ def _iterate(problem: Problem, state: Adapted) -> Generator[Query, FloatArray, A
     crashed = x[inside[: len(y)][y == 1]]
     log_w = problem.traffic.log_density(crashed) - proposal.log_density(crashed)
     is_good = len(crashed) >= ENOUGH and n_eff(log_w) >= GOOD * len(crashed)
+    n_drawn = int(inside[-1]) + 1
     return replace(
         state,
         n_calls=state.n_calls + len(y),
         x=np.concatenate([state.x, crashed]),
-        drawn=(*state.drawn, (proposal, int(inside[-1]) + 1)),
+        drawn=(*state.drawn, (proposal, n_drawn)),
         n_good=state.n_good + 1 if is_good else 0,
+        n_eff_per_draw=n_eff(log_w) / n_drawn,
     )
 
 
@@ -180,52 +188,61 @@ def _adapting(state: Adapted) -> Snapshot:
 
 
 def _estimate(
-    problem: Problem, proposal: Blend, n_calls: int
+    problem: Problem, adapted: Adapted, proposal: Blend
 ) -> Generator[Query, FloatArray, Snapshot]:
     """Draw from the proposal until the interval is narrow at a look, or the budget ends."""
-    draws, k, stop = WeightedDraws(TRAFFIC_SHARE), 0, StopReason.RUNNING
-    while stop is StopReason.RUNNING:
+    draws, n_calls, k = WeightedDraws(TRAFFIC_SHARE), adapted.n_calls, 0
+    while n_calls < problem.max_calls:
+        draws, n_calls = yield from _add_block(problem, proposal, draws, n_calls, k)
         k += 1
-        draws, n_calls = yield from _look(problem, proposal, draws, n_calls, k)
-        stop = _stop(problem, draws, n_calls)
-    return _snapshot(problem, draws, stop)
+        target = problem.target_at(n_calls)
+        first = _first_look(adapted, target, problem.confidence)
+        if _is_look(draws.tally.n, first) and _narrow(draws, target, problem.confidence):
+            return _snapshot(problem, draws, StopReason.TARGET_MET)
+    return _snapshot(problem, draws, StopReason.BUDGET_ENDED)
 
 
-def _look(
+def _add_block(
     problem: Problem, proposal: Blend, draws: WeightedDraws, n_calls: int, k: int
 ) -> Generator[Query, FloatArray, tuple[WeightedDraws, int]]:
-    """Draw up to the k-th look, and simulate what is inside the box."""
-    rng, n = problem.rng(ESTIMATING + k), _n_drawn(k) - _n_drawn(k - 1)
+    """Draw the k-th block, and simulate what is inside the box."""
+    # blocks depend on no target: another one goes on with the same draws
+    rng = problem.rng(ESTIMATING + 1 + k)
     # `Blend` shares the draws out by count: in random order, for the budget may end between them
-    x = rng.permutation(proposal.sample(n, rng))
+    x = rng.permutation(proposal.sample(N_PER_BLOCK, rng))
     rows = np.flatnonzero(problem.traffic.contains(x))
     w = np.exp(problem.traffic.log_density(x[rows]) - proposal.log_density(x[rows]))
     came = rng.random(len(rows)) < TRAFFIC_SHARE * w  # from traffic's share, given where they lie
     # a draw outside the box adds zero at no cost: it goes with the run before it
-    ends, begun = np.append(rows[1:], n), 0
+    ends, begun = np.append(rows[1:], len(x)), 0
     for start in range(0, len(rows), problem.batch_size):
-        left = problem.max_calls - n_calls
-        part = slice(start, start + min(problem.batch_size, left))
-        if not left:
-            break
+        part = slice(start, start + min(problem.batch_size, problem.max_calls - n_calls))
         y = yield Query(x[rows[part]], _snapshot(problem, draws))
         ended = int(ends[part][-1])
         draws = draws.add(w[part], y, came[part], ended - begun)
         n_calls, begun = n_calls + len(y), ended
+        if n_calls >= problem.max_calls:
+            break
     return draws, n_calls
 
 
-def _n_drawn(k: int) -> int:
-    """Draws at the k-th look."""
-    return round(FIRST_LOOK * GROWTH ** (k - 1)) if k else 0
+def _first_look(adapted: Adapted, target: float, confidence: float) -> float:
+    """Number of draws at which the interval is looked at for the first time."""
+    wanted = MARGIN * (float(ndtri(0.5 + confidence / 2)) / target) ** 2
+    return max(MIN_DRAWS, wanted / max(adapted.n_eff_per_draw, 1e-6))
 
 
-def _stop(problem: Problem, draws: WeightedDraws, n_calls: int) -> StopReason:
-    low, high = draws.interval(problem.confidence)
-    narrow = (high - low) / 2 <= problem.target_at(n_calls) * draws.tally.mean
-    if draws.trusted and narrow:
-        return StopReason.TARGET_MET
-    return StopReason.BUDGET_ENDED if n_calls >= problem.max_calls else StopReason.RUNNING
+def _is_look(n: int, first: float) -> bool:
+    """Whether one of the looks at first · GROWTH^j draws lies in the block that ends at n."""
+    if n < first:
+        return False
+    last = first * GROWTH ** math.floor(math.log(n / first) / math.log(GROWTH))
+    return n - N_PER_BLOCK < last
+
+
+def _narrow(draws: WeightedDraws, target: float, confidence: float) -> bool:
+    low, high = draws.interval(confidence)
+    return draws.trusted and (high - low) / 2 <= target * draws.tally.mean
 
 
 def _snapshot(

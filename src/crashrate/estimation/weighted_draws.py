@@ -100,8 +100,8 @@ class WeightedDraws:
         if not tally.n_eff:
             return 0.0
         skewness = float((self.weights**3).sum()) / tally.squares**1.5  # of the mean's own law
-        quantile = tally.quantile(confidence)
-        return tally.standard_error * skewness * (1 + 2 * quantile * quantile) / 6
+        moved = skewness * (1 + 2 * tally.quantile(confidence) ** 2) / 6
+        return float(moved * tally.standard_error)
 
     def alarms(self, confidence: float) -> tuple[Alarm, ...]:
         """The doubts that the draws leave."""
