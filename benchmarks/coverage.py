@@ -1,4 +1,4 @@
-"""How often the interval holds the truth: the default campaign over many seeds.
+"""How often the interval holds the truth: a method over many seeds.
 
     python benchmarks/coverage.py --problem A --seeds 0:20 --out results.jsonl
 

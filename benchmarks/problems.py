@@ -56,14 +56,16 @@ def _order(traffic: TrafficModel, *directions: str) -> dict[str, str]:
     return dict(zip(traffic.names, directions, strict=True))
 
 
-def linear() -> Benchmark:
+def linear(probability: float = 1e-6) -> Benchmark:
     """A: a half-plane of two standard normals; Φ(-4.753424308822899) = 1e-6 exactly."""
-    traffic = _standard_normal(2)
+    from scipy.special import ndtri
+
+    traffic, level = _standard_normal(2), -math.sqrt(2) * ndtri(probability)
 
     def crash(x: Rows) -> Outcomes:
-        return x.sum(axis=1) >= math.sqrt(2) * 4.753424308822899
+        return np.asarray(x.sum(axis=1) >= level)
 
-    return Benchmark(traffic, _order(traffic, *["increasing"] * 2), crash, 1e-6)
+    return Benchmark(traffic, _order(traffic, *["increasing"] * 2), crash, probability)
 
 
 def three_corners() -> Benchmark:
@@ -279,6 +281,9 @@ def cut_in() -> Benchmark:
 
 PROBLEMS: Mapping[str, Callable[[], Benchmark]] = {
     "A": linear,
+    "A at 1e-4": lambda: linear(1e-4),
+    "A at 0.01": lambda: linear(1e-2),
+    "A at 0.3": lambda: linear(0.3),
     "B": three_corners,
     "C": follower,
     "D": lognormal_sum,

@@ -40,6 +40,8 @@ class Method(StrEnum):
 
     SEQUENTIAL = "sequential"
     HUANG2017 = "huang2017"
+    CRUDE = "crude"
+    CROSS_ENTROPY = "cross-entropy"
 
 
 # --- arguments
@@ -243,7 +245,13 @@ def run(
     ],
     out: Annotated[Path, typer.Option(help="Run folder; one that is there is continued.")],
     seed: Seed = 0,
-    method: Annotated[Method, typer.Option(help="How to estimate.")] = Method.SEQUENTIAL,
+    method: Annotated[
+        Method | None,
+        typer.Option(
+            help="How to estimate; all but 'sequential' are there to be compared with.",
+            show_default="the scenario's, or sequential",
+        ),
+    ] = None,
     relative_half_width: Annotated[
         float | None,
         typer.Option(callback=_half_width, help="Target; the scenario's where not given."),
@@ -276,7 +284,8 @@ def run(
 
     places.require_folder_place(out)
     what, model = Scenario.from_file(scenario), places.traffic_named(traffic)
-    events, note = recorded.events_for(traffic, model, method.value)
+    chosen = what.target.method if method is None else method.value
+    events, note = recorded.events_for(traffic, model, chosen)
     if note:
         typer.echo(f"Note: {note}", err=True)
     n_stored = runner.n_stored(out)
@@ -287,7 +296,7 @@ def run(
             model,
             out,
             seed=seed,
-            method=method.value,
+            method=chosen,
             relative_half_width=relative_half_width,
             max_calls=max_calls,
             same_vehicle=same_vehicle,

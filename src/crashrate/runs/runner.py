@@ -45,7 +45,7 @@ from crashrate.simulators import check_outcomes
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
-Number = TypeVar("Number", int, float)
+Value = TypeVar("Value", int, float, str)
 
 # in the place of what the recordings say, until they have been looked at
 PENDING = {"pending": "the recordings are not replayed yet: the same 'run' command does it"}
@@ -58,7 +58,7 @@ def run(
     out: str | Path,
     *,
     seed: int = 0,
-    method: str = "sequential",
+    method: str | None = None,
     relative_half_width: float | None = None,
     max_calls: int | None = None,
     batch_size: int = Problem.batch_size,
@@ -80,10 +80,10 @@ def run(
         On the scenario's variables and bounds.
     out : str or Path
         The run folder, made where it is missing.
-    seed, method, batch_size
+    seed, batch_size
         As of `Campaign`.
-    relative_half_width, max_calls : optional
-        Target and budget; the scenario's where not given.
+    method, relative_half_width, max_calls : optional
+        Method, target and budget; the scenario's where not given.
     same_vehicle : bool
         Whether the stored outcomes count although the simulator's source was edited since.
     events : EventTable, optional
@@ -123,7 +123,7 @@ def run(
         relative_half_width=half_width,
         max_calls=_given(max_calls, target.max_calls),
         confidence=target.confidence,
-        method=method,
+        method=_given(method, target.method),
         batch_size=batch_size,
         earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
     )
@@ -138,7 +138,7 @@ def run(
             simulate,
             store,
             on_progress or _ignore,
-            events is not None and method in LEARNING,
+            events is not None and campaign.method in LEARNING,
         )
         estimate = _go_on(sitting, _replay(sitting))
         belief = campaign.snapshot.belief
@@ -205,7 +205,7 @@ def _store(
     return store
 
 
-def _given(value: Number | None, default: Number) -> Number:
+def _given(value: Value | None, default: Value) -> Value:
     return default if value is None else value
 
 

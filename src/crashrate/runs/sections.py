@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from crashrate.errors import InvalidInputError, ScenarioError
+from crashrate.estimation.campaign import METHODS
 from crashrate.estimation.strategy import Problem
 from crashrate.expressions import Expression
 from crashrate.recordings.severity import FACTOR, LEVELS, Severity
@@ -26,11 +27,12 @@ CLOSING = ("inv_ttc", "closing_speed")
 
 @dataclass(frozen=True)
 class Target:
-    """How tight an interval is wanted, and how many simulator runs it may cost."""
+    """How tight an interval is wanted, how many simulator runs it may cost, and by which method."""
 
     relative_half_width: float = Problem.relative_half_width
     max_calls: int = Problem.max_calls
     confidence: float = Problem.confidence
+    method: str = "sequential"
 
 
 @dataclass(frozen=True)
@@ -172,13 +174,18 @@ def read_simulator(section: Table) -> SimulatorChoice:
 
 
 def read_target(section: Table) -> Target:
-    """The target and the budget."""
-    section.only(("relative_half_width", "max_calls", "confidence"))
+    """The target, the budget and the method."""
+    section.only(("relative_half_width", "max_calls", "confidence", "method"))
     target = Target(
         section.number("relative_half_width", Target.relative_half_width),
         section.integer("max_calls", Target.max_calls),
         section.number("confidence", Target.confidence),
+        section.text("method", Target.method),
     )
+    if target.method not in METHODS:
+        raise section.error(
+            f"unknown method {target.method!r}{nearest(target.method, tuple(METHODS))}"
+        )
     checks = (
         (0 < target.relative_half_width <= 1, "relative_half_width", HALF_WIDTH),
         (target.max_calls >= 1, "max_calls", "at least 1"),
