@@ -27,6 +27,7 @@ import peers
 from calls_table import table
 from crashrate.estimation.campaign import METHODS, Campaign
 from peers.limit_state import Answer, LimitState
+from peers.limits import BudgetError, at_most
 from problems import PROBLEMS, Benchmark, Outcomes, Rows
 from study import Record, mend, read, seeds, study, without, write
 
@@ -59,8 +60,12 @@ def ours(problem: Benchmark, task: Record) -> Record:
         relative_half_width=settings["target"],
         max_calls=settings["max_calls"],
     )
-    while not campaign.done:
-        campaign.tell(crash(campaign.ask()))
+    try:
+        with at_most(settings["max_seconds"]):
+            while not campaign.done:
+                campaign.tell(crash(campaign.ask()))
+    except BudgetError as error:
+        return {"calls": crash.n_calls} | _failed(str(error))
     got = campaign.estimate()
     notes = (got.stop_reason.name, *(alarm.name for alarm in got.alarms))
     answer = Answer(got.probability, *got.interval, notes)
@@ -70,14 +75,10 @@ def ours(problem: Benchmark, task: Record) -> Record:
 def theirs(problem: Benchmark, task: Record) -> Record:
     """One run of a peer; what it raises is a result of the study."""
     peer, settings = peers.available()[task["method"]], task["settings"]
-    limit = LimitState(
-        problem,
-        max_calls=settings["max_calls"],
-        seconds=settings["max_seconds"],
-        binary=peer.binary,
-    )
+    limit = LimitState(problem, max_calls=settings["max_calls"], binary=peer.binary)
     try:
-        answer = peer.run(limit, task["seed"], peer.settings)
+        with at_most(settings["max_seconds"]):
+            answer = peer.run(limit, task["seed"], peer.settings)
     except Exception as error:  # noqa: BLE001 -- whatever another tool raises on a problem
         return {"calls": limit.n_calls} | _failed(limit.ended or _in_a_line(error))
     if limit.ended:  # some tools swallow what their function raises
@@ -94,14 +95,12 @@ def _failed(error: str) -> Record:
 
 
 def _judged(answer: Answer, problem: Benchmark) -> Record:
-    """An answer beside the reference."""
-    if answer.complaint():
-        return _failed(str(answer.complaint())) | {"notes": list(answer.notes)}
+    """An answer beside the reference. An interval may hold it where no crash was found."""
     return {
         "probability": answer.probability,
         "interval": [answer.low, answer.high],
         "covered": answer.low <= problem.probability <= answer.high,
-        "error": None,
+        "error": answer.complaint(),
         "notes": list(answer.notes),
     }
 
@@ -129,8 +128,9 @@ def _progress(record: Record) -> str:
 
 def methods(options: argparse.Namespace) -> dict[str, Record]:
     """Every method that can run here, with the part of its lines that is the same for all runs."""
-    own = {"target": options.target, "max_calls": options.max_calls}
-    caps = {"max_calls": options.peer_calls, "max_seconds": options.peer_seconds}
+    clock = {"max_seconds": options.max_seconds}
+    own = {"target": options.target, "max_calls": options.max_calls} | clock
+    caps = {"max_calls": options.peer_calls} | clock
     return {
         f"{OURS} {name}": {"settings": own, "package": OURS, "version": version(OURS)}
         for name in METHODS
@@ -171,7 +171,7 @@ def arguments() -> argparse.Namespace:
     add("--target", type=float, default=0.1, help="relative half-width of crashrate's methods")
     add("--max-calls", type=int, default=2000, help="budget of crashrate's methods")
     add("--peer-calls", type=int, default=300_000, help="most calls of a peer")
-    add("--peer-seconds", type=float, default=300.0, help="no call of a peer after these")
+    add("--max-seconds", type=float, default=300.0, help="process time after which a run ends")
     add("--processes", type=int, default=1)
     return parser.parse_args()
 

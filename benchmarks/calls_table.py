@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from study import Record
 
 CAPTION = """Each cell: median simulator calls; median relative half-width of the 95 % interval;
-bias / relative RMSE in %; runs whose interval covers, of all runs (a run without an answer does
-not cover; *n* such runs). crashrate is given outcomes only, crash or not; the peers
-are given a continuous margin, an exact transform to standard normals and the best settings
-found for them, except where their row says outcomes."""
+bias / relative RMSE in %; runs whose interval covers, of all runs. A run that raised, met its
+limit of calls or seconds, or answered 0 is one without an estimate. crashrate is given outcomes
+only, crash or not; the peers are given a continuous margin, an exact transform to standard
+normals and the best settings found for them, except where their row says outcomes."""
 
 
 def half_width(record: Record) -> float:
@@ -25,7 +25,7 @@ def cell(records: Sequence[Record]) -> str:
     failed = len(records) - len(answered)
     covers = f"{sum(r['covered'] for r in records)}/{len(records)}"
     if not answered:
-        return f"no answer in {statistics.median(r['calls'] for r in records):,.0f}; {covers}"
+        return f"{statistics.median(r['calls'] for r in records):,.0f}; no estimate; {covers}"
     errors = [r["probability"] / r["reference"] - 1 for r in answered]
     rmse = math.sqrt(statistics.fmean(e * e for e in errors))
     parts = [
@@ -34,7 +34,7 @@ def cell(records: Sequence[Record]) -> str:
         f"{100 * statistics.fmean(errors):+.0f} / {100 * rmse:.0f}".replace("-", "\N{MINUS SIGN}"),
         covers,
     ]
-    return "; ".join(parts) + (f" ({failed} without an answer)" if failed else "")
+    return "; ".join(parts) + (f" ({failed} without an estimate)" if failed else "")
 
 
 def names(records: Sequence[Record], key: str) -> list[str]:

@@ -1,17 +1,13 @@
 """A problem as the reliability methods know it: a limit state in standard normal space, counted."""
 
 import math
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from peers.limits import BudgetError
 from problems import Benchmark, Rows
 from standard_space import StandardSpace
-
-
-class BudgetError(Exception):
-    """The budget of calls or seconds is spent."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +41,10 @@ class Answer:
         )
 
     def complaint(self) -> str | None:
-        """Why this is no answer, or None where it is one."""
+        """Why this is no estimate, or None where it is one."""
         if not all(map(math.isfinite, (self.probability, self.low, self.high))):
             return f"no finite answer: {self.probability:g} [{self.low:g}, {self.high:g}]"
-        return None if self.probability > 0 else "answered that the probability is 0"
+        return None if self.probability > 0 else "the answer is 0"
 
 
 class LimitState:
@@ -62,23 +58,18 @@ class LimitState:
     problem : Benchmark
     max_calls : int
         A row beyond raises `BudgetError` and is not evaluated.
-    seconds : float
-        Process time; a call after that raises `BudgetError`.
     binary : bool
         Give -1 for a crash and +1 otherwise in place of the margin.
     """
 
-    def __init__(
-        self, problem: Benchmark, *, max_calls: int, seconds: float, binary: bool = False
-    ) -> None:
+    def __init__(self, problem: Benchmark, *, max_calls: int, binary: bool = False) -> None:
         if problem.margin is None:
             raise ValueError("limit state: expected a problem with a margin, this one has none.")
         self._margin, self._binary = problem.margin, binary
         self._space = StandardSpace.of(problem.traffic)
         self._lower, self._upper = problem.traffic.lower, problem.traffic.upper
         self._scale = np.sqrt(np.diagonal(problem.traffic.covariance))
-        self._max_calls, self._end = max_calls, time.process_time() + seconds
-        self._seconds = seconds
+        self._max_calls = max_calls
         self.dimension = problem.traffic.n_variables
         self.n_calls = 0
         self.ended: str | None = None
@@ -108,9 +99,6 @@ class LimitState:
         return np.where(margin <= 0, -1.0, 1.0) if self._binary else margin
 
     def _check(self, n: int) -> None:
-        if self.n_calls + n > self._max_calls:
+        if self.ended or self.n_calls + n > self._max_calls:
             self.ended = f"more than {self._max_calls:,} calls"
-        elif time.process_time() > self._end:
-            self.ended = f"more than {self._seconds:g} s, {self.n_calls:,} calls"
-        if self.ended:
             raise BudgetError(self.ended)
