@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from crashrate import datasets
-from crashrate.cli import app
+from crashrate.cli import Method, app
 from crashrate.errors import InvalidInputError
 from crashrate.estimation import campaign
 from crashrate.estimation.alarms import Alarm, StopReason
@@ -179,6 +179,56 @@ def test_target_met_leaves_with_0_and_the_sentence(small, quick):
     assert "ynthetic" not in done.output
     page = (small / "run" / "report.html").read_text()
     assert "per lane change, 95 % Monte Carlo interval" in page
+
+
+METHODS = ("sequential", "huang2017", "crude", "cross-entropy")
+
+
+def test_every_method_has_a_name_on_the_command_line():
+    assert tuple(method.value for method in Method) == METHODS == tuple(campaign.METHODS)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_runs_goes_on_and_reports(small, method):
+    text = (small / "small.toml").read_text()
+    (small / "small.toml").write_text(text + '[risk]\na = "increasing"\n')
+    asked = ("--method", method, "--max-calls", "50", "--relative-half-width", "0.05")
+    first, again = small_run(small, *asked), small_run(small, *asked, "--format", "json")
+    assert first.exit_code == again.exit_code in {0, 3}
+    assert json.loads(again.stdout)["method"] == method
+    assert 20 < json.loads(again.stdout)["n_calls"] <= 50
+    assert "0 new simulator runs" in again.stderr
+    assert crashrate("status", small / "run").exit_code == 0
+    assert crashrate("report", small / "run").exit_code == 0
+    assert method in (small / "run" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("method", ["crude", "cross-entropy"])
+def test_a_larger_budget_goes_on_with_what_is_stored(small, method):
+    for folder, budgets in (("run", (30, 150, 1500)), ("at once", (1500,))):
+        for budget in budgets:
+            done = crashrate(
+                "run", small / "small.toml", "--traffic", small / "traffic.json", "--out",
+                small / folder, "--method", method, "--max-calls", budget, "--format", "json",
+            )  # fmt: skip
+    assert done.exit_code in {0, 3}
+    both = [
+        {
+            k: v
+            for k, v in json.loads((small / folder / "result.json").read_text()).items()
+            if k != "history"
+        }
+        for folder in ("run", "at once")
+    ]
+    assert both[0] == both[1]
+
+
+def test_the_scenario_names_the_method_and_the_command_line_another(small):
+    text = (small / "small.toml").read_text()
+    (small / "small.toml").write_text(text + 'method = "crude"\n')
+    assert json.loads(small_run(small, "--format", "json").stdout)["method"] == "crude"
+    other = small_run(small, "--method", "cross-entropy")
+    assert 'method: has "crude", asked for "cross-entropy"' in error_line(other)
 
 
 def test_what_a_simulator_prints_is_not_the_answer(small, quick):  # noqa: ARG001

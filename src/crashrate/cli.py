@@ -40,13 +40,11 @@ class Method(StrEnum):
 
     SEQUENTIAL = "sequential"
     HUANG2017 = "huang2017"
+    CRUDE = "crude"
+    CROSS_ENTROPY = "cross-entropy"
 
 
-class Goal(StrEnum):
-    """What the simulator runs are spent on."""
-
-    PROBABILITY = "probability"
-    BOUNDS = "bounds"
+Goal = StrEnum("Goal", ["PROBABILITY", "BOUNDS"])  # what the simulator runs are spent on
 
 
 # --- arguments
@@ -140,10 +138,7 @@ def _plain_errors(*, debug: bool) -> Iterator[None]:
     except (typer.Exit, typer.BadParameter, BrokenPipeError):
         raise
     except KeyboardInterrupt:
-        typer.echo(
-            "Interrupted. The same command goes on where a run stopped; a fit begins again.",
-            err=True,
-        )
+        typer.echo(INTERRUPTED_WORDS, err=True)
         raise typer.Exit(INTERRUPTED) from None
     except Exception as error:
         if debug:
@@ -250,7 +245,13 @@ def run(
     ],
     out: Annotated[Path, typer.Option(help="Run folder; one that is there is continued.")],
     seed: Seed = 0,
-    method: Annotated[Method, typer.Option(help="How to estimate.")] = Method.SEQUENTIAL,
+    method: Annotated[
+        Method | None,
+        typer.Option(
+            help="How to estimate; all but 'sequential' are there to be compared with.",
+            show_default="the scenario's, or sequential",
+        ),
+    ] = None,
     relative_half_width: Annotated[
         float | None,
         typer.Option(callback=_half_width, help="Target; the scenario's where not given."),
@@ -259,10 +260,7 @@ def run(
         int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
     ] = None,
     goal: Annotated[
-        Goal | None,
-        typer.Option(
-            help="An estimate, or bounds if the risk order holds; the scenario's where not given."
-        ),
+        Goal | None, typer.Option(help="Target an estimate, or bounds if the risk order holds.")
     ] = None,
     replay_calls: Annotated[
         int,
@@ -289,7 +287,8 @@ def run(
 
     places.require_folder_place(out)
     what, model = Scenario.from_file(scenario), places.traffic_named(traffic)
-    events, note = recorded.events_for(traffic, model, method.value)
+    chosen = what.target.method if method is None else method.value
+    events, note = recorded.events_for(traffic, model, chosen)
     if note:
         typer.echo(f"Note: {note}", err=True)
     n_stored = runner.n_stored(out)
@@ -300,7 +299,7 @@ def run(
             model,
             out,
             seed=seed,
-            method=method.value,
+            method=chosen,
             relative_half_width=relative_half_width,
             max_calls=max_calls,
             goal=goal and goal.value,

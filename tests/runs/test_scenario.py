@@ -104,6 +104,7 @@ def test_derived_may_use_earlier_derived():
         ('"acc-aeb"', '"acc-aeb"\n[target]\nmax_calls = 2e3', "max_calls: expected an integer"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\ngoal = "bound"', "did you mean 'bounds'"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nmax_calls = 0', "max_calls: expected at least 1"),
+        ('"acc-aeb"', '"acc-aeb"\n[target]\nmethod = "crud"', "'crud'; did you mean 'crude'"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nrelative_half_width = 10', "0.1 means ± 10 %"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nconfidence = 95', "expected a number between 0 and 1"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nrelative_half_width = 0', "up to 1 (0.1 means"),

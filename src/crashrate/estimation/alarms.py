@@ -22,6 +22,10 @@ class Alarm(StrEnum):
         "one simulator run moves the estimate by more than a quarter: the next run may move it "
         "as much"
     )
+    WEIGHTS_HEAVY_TAILED = (
+        "the weights of the crashes fall off so slowly that runs yet to come may outweigh all so "
+        "far: the interval's upper end comes from the draws of ordinary traffic alone"
+    )
     SCATTER_BEYOND_PREDICTION = (
         "the rounds scatter more than predicted: the interval was widened by the scatter seen"
     )

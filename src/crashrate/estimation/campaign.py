@@ -39,8 +39,25 @@ def _bracket(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
     return bracket(problem)
 
 
+def _crude(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
+    from crashrate.estimation.crude_monte_carlo import crude_monte_carlo
+
+    return crude_monte_carlo(problem)
+
+
+def _cross_entropy(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
+    from crashrate.estimation.cross_entropy import cross_entropy
+
+    return cross_entropy(problem)
+
+
 LEARNING = ("sequential",)  # methods that end with a learned crash set, a `Belief`
-METHODS: Mapping[str, Method] = {"sequential": _sequential, "huang2017": _huang2017}
+METHODS: Mapping[str, Method] = {
+    "sequential": _sequential,
+    "huang2017": _huang2017,
+    "crude": _crude,
+    "cross-entropy": _cross_entropy,
+}
 GOALS: Mapping[str, Mapping[str, Method]] = {
     "probability": METHODS,
     "bounds": {"sequential": _bracket},
@@ -55,8 +72,8 @@ class Campaign:
     ----------
     traffic : TrafficModel
         How often each situation occurs. One with members stands for their average, and the
-        estimate says what each of them makes of the same runs; with "huang2017" it stands for
-        itself, and a warning says that its members are left out.
+        estimate says what each of them makes of the same runs; with any method but "sequential"
+        it stands for itself, and a warning says that its members are left out.
     risk : mapping or None
         Which way is riskier: a variable's name, or a derived coordinate given as
         ``name: (function, direction)``, to "increasing" or "decreasing". None claims nothing.
@@ -68,8 +85,9 @@ class Campaign:
         Budget of simulator runs.
     confidence : float
         Level of the interval.
-    method : {"sequential", "huang2017"}
-        The campaign of docs/method.md, or the procedure of the 2017 paper.
+    method : {"sequential", "huang2017", "crude", "cross-entropy"}
+        The campaign of docs/method.md; for comparison, the procedure of the 2017 paper, random
+        encounters, or importance sampling by cross-entropy.
     goal : {"probability", "bounds"}
         "probability" estimates it with an interval. "bounds" spends the runs on the bracket
         P(inner) ≤ p ≤ P(outer) alone, needs a risk order, and gives bounds if that order holds:

@@ -4,8 +4,10 @@ They are the surrogate's only safe labels in ordinary traffic, and a check that 
 talk its way around: an estimate far below what they show is wrong.
 """
 
+import math
 from collections.abc import Generator
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.special import betaincinv
@@ -22,18 +24,51 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Encounters:
-    """Simulated random encounters that did not fail.
+    """Simulated random encounters.
 
     Parameters
     ----------
     n, n_crashes : int
+        That did not fail, and that crashed.
+    n_failed : int
+        Simulations that failed, beside the `n`.
     """
 
     n: int = 0
     n_crashes: int = 0
+    n_failed: int = 0
 
-    def __add__(self, other: "Encounters") -> "Encounters":
-        return Encounters(self.n + other.n, self.n_crashes + other.n_crashes)
+    @classmethod
+    def of(cls, outcomes: FloatArray) -> Self:
+        """Those with `outcomes` (n,): 1 crash, 0 safe, NaN failed."""
+        known = outcomes[~np.isnan(outcomes)]
+        return cls(len(known), int(known.sum()), len(outcomes) - len(known))
+
+    def __add__(self, other: Self) -> Self:
+        return type(self)(
+            self.n + other.n,
+            self.n_crashes + other.n_crashes,
+            self.n_failed + other.n_failed,
+        )
+
+    @property
+    def n_runs(self) -> int:
+        """Simulator runs, the failed ones included."""
+        return self.n + self.n_failed
+
+    @property
+    def share(self) -> float:
+        """Share of crashes among the runs that did not fail; NaN where there is none."""
+        return self.n_crashes / self.n if self.n else math.nan
+
+    def interval(self, confidence: float) -> tuple[float, float]:
+        """Clopper–Pearson, failed runs counted as safe at its lower end, as crashes at its upper.
+
+        For a number of runs that was chosen before any outcome.
+        """
+        low, _ = interval(self.n_crashes, self.n_runs, confidence)
+        _, high = interval(self.n_crashes + self.n_failed, self.n_runs, confidence)
+        return low, high
 
     def speak_against(self, upper: float) -> bool:
         """Whether they exclude a probability of `upper` or less."""
@@ -47,9 +82,7 @@ def meet(
     x = problem.traffic.sample(N_ENCOUNTERS, rng)
     before = labels.n
     labels = yield from ask(problem, labels, x, snapshot)
-    y = labels.y[before:]
-    known = y[~np.isnan(y)]
-    return labels, Encounters(len(known), int(known.sum()))
+    return labels, Encounters.of(labels.y[before:])
 
 
 def interval(n_crashes: int, n: int, confidence: float) -> tuple[float, float]:

@@ -75,14 +75,18 @@ class Tally:
             return math.nan
         return math.log(self.squares / self.n) / math.log(self.mean)
 
-    def half_width(self, confidence: float) -> float:
-        """Half the interval of the mean.
+    def quantile(self, confidence: float) -> float:
+        """Half the interval of the mean, in standard errors.
 
         # differs: Student's quantile with n_eff - 1 degrees of freedom, where the paper takes the
         # normal one: the standard error of a few unequal weights is itself uncertain.
         """
         freedom = max(self.n_eff - 1.0, 1.0)
-        return float(stdtrit(freedom, 0.5 + confidence / 2)) * self.standard_error
+        return float(stdtrit(freedom, 0.5 + confidence / 2))
+
+    def half_width(self, confidence: float) -> float:
+        """Half the interval of the mean."""
+        return self.quantile(confidence) * self.standard_error
 
     def interval(self, confidence: float, largest_weight: float) -> tuple[float, float]:
         """The interval, with every failed simulation counted as safe below and a crash above.

@@ -197,7 +197,11 @@ def _origin(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
     return (
         Fact("Traffic model", _traffic(record), "How often each situation occurs."),
         *_vouched(record),
-        Fact("Method", e.method, "“sequential” or the procedure “huang2017” of the paper."),
+        Fact(
+            "Method",
+            e.method,
+            "“sequential”; for comparison “huang2017”, “crude”, “cross-entropy”.",
+        ),
         Fact("Seed", str(e.seed), "With scenario and traffic model, gives the same run again."),
         Fact(
             "Versions",

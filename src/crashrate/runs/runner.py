@@ -28,6 +28,7 @@ from crashrate.runs.configuration import (
     SOURCE,
     TARGETS,
     VOUCHED,
+    Number,
     configuration,
     require_budget,
     require_same_run,
@@ -46,7 +47,7 @@ from crashrate.simulators import check_outcomes
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
-Number = TypeVar("Number", int, float)
+Value = TypeVar("Value", int, float, str)
 
 # in the place of what the recordings say, until they have been looked at
 PENDING = {"pending": "the recordings are not replayed yet: the same 'run' command does it"}
@@ -59,7 +60,7 @@ def run(
     out: str | Path,
     *,
     seed: int = 0,
-    method: str = "sequential",
+    method: str | None = None,
     relative_half_width: float | None = None,
     max_calls: int | None = None,
     goal: str | None = None,
@@ -82,10 +83,10 @@ def run(
         On the scenario's variables and bounds.
     out : str or Path
         The run folder, made where it is missing.
-    seed, method, batch_size
+    seed, batch_size
         As of `Campaign`.
-    relative_half_width, max_calls : optional
-        Target and budget; the scenario's where not given.
+    method, relative_half_width, max_calls : optional
+        Method, target and budget; the scenario's where not given.
     goal : optional
         As of `Campaign`; the scenario's where not given. Another one is another run.
     same_vehicle : bool
@@ -129,7 +130,7 @@ def run(
         relative_half_width=half_width,
         max_calls=budget,
         confidence=target.confidence,
-        method=method,
+        method=_given(method, target.method),
         goal=goal or target.goal,
         batch_size=batch_size,
         earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
@@ -147,7 +148,7 @@ def run(
             simulate,
             store,
             on_progress or _ignore,
-            events is not None and method in LEARNING,
+            events is not None and campaign.method in LEARNING,
         )
         estimate = _go_on(sitting, _replay(sitting))
         belief = campaign.snapshot.belief
@@ -214,7 +215,7 @@ def _store(
     return store
 
 
-def _given(value: Number | None, default: Number) -> Number:
+def _given(value: Value | None, default: Value) -> Value:
     return default if value is None else value
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from crashrate.errors import InvalidInputError, ScenarioError
+from crashrate.estimation.campaign import GOALS, METHODS
 from crashrate.estimation.strategy import Problem
 from crashrate.expressions import Expression
 from crashrate.recordings.severity import FACTOR, LEVELS, Severity
@@ -21,17 +22,17 @@ HALF_WIDTH = "a number above 0 and up to 1 (0.1 means ± 10 %)"
 FUNCTION_EXAMPLE = (
     'function = "my_simulator:crashes", the function crashes in my_simulator.py beside this file'
 )
-GOALS = ("probability", "bounds")
 CLOSING = ("inv_ttc", "closing_speed")
 
 
 @dataclass(frozen=True)
 class Target:
-    """What is wanted, how tight, and how many simulator runs it may cost."""
+    """What is wanted, how tight, how many simulator runs it may cost, and by which method."""
 
     relative_half_width: float = Problem.relative_half_width
     max_calls: int = Problem.max_calls
     confidence: float = Problem.confidence
+    method: str = "sequential"
     goal: str = "probability"
 
 
@@ -174,16 +175,23 @@ def read_simulator(section: Table) -> SimulatorChoice:
 
 
 def read_target(section: Table) -> Target:
-    """The target and the budget."""
-    section.only(("relative_half_width", "max_calls", "confidence", "goal"))
+    """The target, the budget, the method and the goal."""
+    section.only(("relative_half_width", "max_calls", "confidence", "method", "goal"))
     target = Target(
         section.number("relative_half_width", Target.relative_half_width),
         section.integer("max_calls", Target.max_calls),
         section.number("confidence", Target.confidence),
+        section.text("method", Target.method),
         section.text("goal", Target.goal),
     )
+    if target.method not in METHODS:
+        raise section.error(
+            f"unknown method {target.method!r}{nearest(target.method, tuple(METHODS))}"
+        )
     if target.goal not in GOALS:
-        raise section.error(f"goal: unknown goal {target.goal!r}{nearest(target.goal, GOALS)}")
+        raise section.error(
+            f"goal: unknown goal {target.goal!r}{nearest(target.goal, tuple(GOALS))}"
+        )
     checks = (
         (0 < target.relative_half_width <= 1, "relative_half_width", HALF_WIDTH),
         (target.max_calls >= 1, "max_calls", "at least 1"),
