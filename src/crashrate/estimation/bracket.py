@@ -3,7 +3,7 @@
 After the exploration each round asks for the situations whose outcomes are expected to shrink
 log P(outer) / P(inner) most. The surrogate says where the crash set's edge may be; nothing else
 rests on it. The last tenth of the runs audits the order. In m risk coordinates n runs leave about
-n^(-1 / (m - 1)) of the gap, wherever they are put: an order alone says no more.
+n^(-1 / (m - 1)) of the gap, wherever they are put.
 """
 
 from collections.abc import Generator
