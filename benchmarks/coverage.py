@@ -7,26 +7,20 @@ can be stopped and taken up. The last thing printed is a table in Markdown.
 """
 
 import argparse
-import json
 import math
 import os
 import statistics
-import sys
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread a process; read by numpy's import
 
-from scipy.stats import beta
-
 import crashrate
 from problems import PROBLEMS
+from study import Record, clopper_pearson, mend, read, seeds, study, without
 
-Record = dict[str, Any]
-KEYS = ("problem", "method", "target", "max_calls", "version")
+KEYS = ("problem", "method", "target", "max_calls", "version", "seed")
 
 
 def run_seed(task: Record) -> Record:
@@ -56,30 +50,6 @@ def run_seed(task: Record) -> Record:
     }
 
 
-def read(path: Path) -> list[Record]:
-    """The lines of a study so far."""
-    if not path.exists():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-
-
-def mend(path: Path) -> None:
-    """Remove a last line that an interruption cut short."""
-    if path.exists():
-        text = path.read_text(encoding="utf-8")
-        path.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
-
-
-def study(tasks: Sequence[Record], path: Path, processes: int) -> None:
-    """Run the tasks, one line each as they end."""
-    with path.open("a", encoding="utf-8") as out, ProcessPoolExecutor(processes) as pool:
-        for done in as_completed([pool.submit(run_seed, task) for task in tasks]):
-            record = done.result()
-            out.write(json.dumps(record) + "\n")
-            out.flush()
-            print(_progress(record), file=sys.stderr)
-
-
 def _progress(record: Record) -> str:
     ratio = record["probability"] / record["reference"]
     covered = "covered" if record["covered"] else "NOT COVERED"
@@ -87,14 +57,6 @@ def _progress(record: Record) -> str:
         f"{record['problem']} seed {record['seed']}: {record['calls']} calls, "
         f"{ratio:.4f} of the reference, {covered}, {record['stop']}, {record['seconds']:.1f} s"
     )
-
-
-def clopper_pearson(k: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact interval for a probability of which `k` of `n` trials succeeded."""
-    tail = (1 - confidence) / 2
-    low = float(beta.ppf(tail, k, n - k + 1)) if k else 0.0
-    high = float(beta.ppf(1 - tail, k + 1, n - k)) if k < n else 1.0
-    return low, high
 
 
 HEAD = (
@@ -132,12 +94,6 @@ def table(records: Iterable[Record]) -> str:
     return "\n".join([HEAD, *(row(name, groups[name]) for name in sorted(groups))])
 
 
-def seeds(text: str) -> range:
-    """``0:20`` or ``7``."""
-    first, _, last = text.partition(":")
-    return range(int(first), int(last) if last else int(first) + 1)
-
-
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -167,8 +123,8 @@ def main() -> None:
         for name in options.problem
         for seed in options.seeds
     ]
-    done = [{key: r[key] for key in (*KEYS, "seed")} for r in read(options.out)]
-    study([task for task in wanted if task not in done], options.out, options.processes)
+    missing = without(wanted, read(options.out), KEYS)
+    study(run_seed, missing, options.out, options.processes, _progress)
     print(table(read(options.out)))
 
 

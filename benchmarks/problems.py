@@ -1,7 +1,8 @@
 """Rare-event problems whose probability is known: exactly, or better than any campaign knows it.
 
-A, B, C, D and ``corner`` are monotone (Gaussian mixtures, two to six variables); ``disc`` is not;
-``cut-in`` is the published traffic model with the ACC + AEB vehicle under test.
+A, B, C, D and ``corner`` are monotone (Gaussian mixtures, two to six variables), so are ``linear``
+and ``random walk`` in ten; ``disc`` is not; ``cut-in`` is the published traffic model with the
+ACC + AEB vehicle under test.
 """
 
 import math
@@ -12,11 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from braking_follower import Outcomes, Rows, margin_left
 from crashrate.expressions import Expression
 from crashrate.traffic.model import TrafficModel
-
-Rows = npt.NDArray[np.float64]
-Outcomes = npt.NDArray[np.bool_]
+from random_walk import crossing_probability
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,16 @@ class Benchmark:
         Rows (n, d) to outcomes (n,).
     probability : float
         The reference.
+    margin : callable or None
+        Rows (n, d) to numbers (n,) that are zero or below in a crash, and as smooth as the problem
+        allows: what the methods of `calls.py` that need more than an outcome are given.
     """
 
     traffic: TrafficModel
     risk: Mapping[str, Any] | None
     crash: Callable[[Rows], Outcomes]
     probability: float
+    margin: Callable[[Rows], Rows] | None = None
 
 
 def _traffic(
@@ -56,16 +60,36 @@ def _order(traffic: TrafficModel, *directions: str) -> dict[str, str]:
     return dict(zip(traffic.names, directions, strict=True))
 
 
-def linear(probability: float = 1e-6) -> Benchmark:
-    """A: a half-plane of two standard normals; Φ(-4.753424308822899) = 1e-6 exactly."""
+def linear(d: int, probability: float = 1e-6) -> Benchmark:
+    """A: a half-space of d standard normals, of an exact probability."""
     from scipy.special import ndtri
 
-    traffic, level = _standard_normal(2), -math.sqrt(2) * ndtri(probability)
+    traffic, level = _standard_normal(d), -math.sqrt(d) * ndtri(probability)
 
     def crash(x: Rows) -> Outcomes:
         return np.asarray(x.sum(axis=1) >= level)
 
-    return Benchmark(traffic, _order(traffic, *["increasing"] * 2), crash, probability)
+    def margin(x: Rows) -> Rows:
+        return np.asarray(level - x.sum(axis=1))
+
+    return Benchmark(traffic, _order(traffic, *["increasing"] * d), crash, probability, margin)
+
+
+def random_walk(d: int = 10, level: float = 15.0) -> Benchmark:
+    """A walk of d standard normal steps that rises to `level` at any of them.
+
+    Reference: the walk's law, step by step, by quadrature; relative error below 1e-10.
+    """
+    traffic = _standard_normal(d)
+
+    def crash(x: Rows) -> Outcomes:
+        return np.asarray(x.cumsum(axis=1).max(axis=1) >= level)
+
+    def margin(x: Rows) -> Rows:
+        return np.asarray(level - x.cumsum(axis=1).max(axis=1))
+
+    order = _order(traffic, *["increasing"] * d)
+    return Benchmark(traffic, order, crash, crossing_probability(level, d), margin)
 
 
 def three_corners() -> Benchmark:
@@ -90,75 +114,28 @@ def three_corners() -> Benchmark:
         beyond = np.maximum(x[:, None, :] - corners, 0.0)
         return np.any(beyond.prod(axis=2) >= levels, axis=1)
 
+    def margin(x: Rows) -> Rows:
+        shifts = [_shift(x - c, t) for c, t in zip(corners, levels, strict=True)]
+        return np.asarray(np.min(shifts, axis=0))
+
     order = _order(traffic, *["increasing"] * 3)
-    return Benchmark(traffic, order, crash, 1.1568563060894011e-06)
+    return Benchmark(traffic, order, crash, 1.1568563060894011e-06, margin)
 
 
-# Problem C's vehicle: deceleration a follower commands is K·c + E (c the closing speed), at most
-# ACC; where the time to collision falls to a threshold, it brakes up to AEB at JERK.
-AEB, JERK, ACC, K, E = 8.0, 16.0, 2.5, 0.4, 0.3
+def _shift(x: Rows, level: float) -> Rows:
+    """How far (1, …, 1) must carry `x` until all coordinates are positive with product `level`.
 
-
-def follower_crashes(v: Rows, inverse_ttc: Rows, inverse_range: Rows) -> Outcomes:
-    """Whether the follower hits a lead vehicle of constant speed, in closed form.
-
-    Parameters
-    ----------
-    v, inverse_ttc, inverse_range : ndarray, shape (n,)
-        Speed [m/s], closing speed over range [1/s], 1 / range [1/m] as the lead cuts in.
+    The product is convex and increasing there, so Newton's method comes down from above.
     """
-    gap = 1 / np.maximum(inverse_range, 1e-4)
-    closing = inverse_ttc * gap
-    threshold = 0.6 + 0.8 * v / (v + 10)  # of the time to collision [s]
-    now = gap <= threshold * closing
-    # constant deceleration ACC until the closing speed is that at which K c + E = ACC
-    slow = (ACC - E) / K
-    until_slow = np.maximum(closing - slow, 0.0) / ACC
-    b, c = closing - threshold * ACC, gap - threshold * closing
-    root = np.sqrt(np.maximum(b * b - 2 * ACC * c, 0.0))
-    trigger = np.where((b * b >= 2 * ACC * c) & (b > 0), (b - root) / ACC, np.inf)
-    first = ~now & (closing > slow) & (trigger <= until_slow)
-    t = np.where(now, 0.0, np.where(first, trigger, until_slow))
-    gap, closing = gap - closing * t + ACC * t * t / 2, closing - ACC * t
-    # then c' = -(K c + E), until the brakes trigger or the gap opens
-    later, gap_later, closing_later = _relaxing(gap, closing, threshold)
-    known = now | first
-    gap, closing = np.where(known, gap, gap_later), np.where(known, closing, closing_later)
-    return (known | later) & (_stopping_distance(np.maximum(closing, 0.0)) >= gap)
-
-
-def _relaxing(gap: Rows, closing: Rows, threshold: Rows) -> tuple[Outcomes, Rows, Rows]:
-    """Whether the brakes trigger while c' = -(K c + E), and gap and closing speed then."""
-
-    def at(t: Rows) -> tuple[Rows, Rows]:
-        left = np.exp(-K * t)
-        return (
-            gap - (closing + E / K) * (1 - left) / K + E / K * t,
-            (closing + E / K) * left - E / K,
-        )
-
-    def reserve(t: Rows) -> Rows:
-        gap_then, closing_then = at(t)
-        return gap_then - threshold * closing_then
-
-    least = E * threshold / (1 - K * threshold)  # closing speed where gap - threshold c is least
-    high = np.log((closing + E / K) / (np.minimum(least, closing) + E / K)) / K
-    triggers, low = reserve(high) < 0, np.zeros_like(high)
-    for _ in range(50):
-        middle = (low + high) / 2
-        past = reserve(middle) < 0
-        low, high = np.where(past, low, middle), np.where(past, middle, high)
-    return triggers, *at(high)
-
-
-def _stopping_distance(closing: Rows) -> Rows:
-    """Relative distance until the closing speed is zero, braking up to AEB at JERK."""
-    start = np.minimum(ACC, K * closing + E)
-    t = np.minimum(
-        (AEB - start) / JERK, (np.sqrt(start * start + 2 * JERK * closing) - start) / JERK
-    )
-    left = closing - start * t - JERK * t * t / 2
-    return closing * t - start * t * t / 2 - JERK * t**3 / 6 + left * left / (2 * AEB)
+    shift = level ** (1 / x.shape[1]) - x.min(axis=1)
+    for _ in range(60):
+        there = x + shift[:, None]
+        product = there.prod(axis=1)
+        step = (product - level) / (product * (1 / there).sum(axis=1))
+        shift = shift - step
+        if np.all(np.abs(step) <= 1e-14 * (1 + np.abs(shift))):
+            return shift
+    raise ArithmeticError(f"margin of problem B: Newton's step is still {np.abs(step).max():.2g}.")
 
 
 def follower() -> Benchmark:
@@ -184,7 +161,11 @@ def follower() -> Benchmark:
     weights = np.array([0.6, 0.3, 0.1]) * masses
     traffic = _traffic(weights / weights.sum(), means, covariances, lower=0.0)
     order = _order(traffic, "decreasing", "increasing", "decreasing")
-    return Benchmark(traffic, order, lambda x: follower_crashes(*x.T), 1.2578611713711024e-06)
+
+    def margin(x: Rows) -> Rows:
+        return margin_left(*x.T)
+
+    return Benchmark(traffic, order, lambda x: margin(x) <= 0, 1.2578611713711024e-06, margin)
 
 
 def lognormal_sum() -> Benchmark:
@@ -198,7 +179,12 @@ def lognormal_sum() -> Benchmark:
     def crash(x: Rows) -> Outcomes:
         return np.asarray(np.exp(x * exponents).sum(axis=1) >= 17.25)
 
-    return Benchmark(traffic, _order(traffic, *["increasing"] * 6), crash, 9.432762980128471e-07)
+    def margin(x: Rows) -> Rows:
+        # logarithms: nearly linear in x, kinder to a gradient than the sum
+        return np.asarray(math.log(17.25) - np.log(np.exp(x * exponents).sum(axis=1)))
+
+    order = _order(traffic, *["increasing"] * 6)
+    return Benchmark(traffic, order, crash, 9.432762980128471e-07, margin)
 
 
 def corner() -> Benchmark:
@@ -223,10 +209,13 @@ def disc(*, ordered: bool = False) -> Benchmark:
     radius = brentq(lambda r: ncx2.cdf(r * r, 2, center @ center) - 1e-6, 0.1, 2.0, xtol=1e-14)
 
     def crash(x: Rows) -> Outcomes:
-        return ((x - center) ** 2).sum(axis=1) < radius**2
+        return ((x - center) ** 2).sum(axis=1) <= radius**2
+
+    def margin(x: Rows) -> Rows:
+        return np.asarray(((x - center) ** 2).sum(axis=1) - radius**2)
 
     order = _order(traffic, *["increasing"] * 2) if ordered else None
-    return Benchmark(traffic, order, crash, 1e-6)
+    return Benchmark(traffic, order, crash, 1e-6, margin)
 
 
 def two_sides(upper: float, lower: float) -> Benchmark:
@@ -280,10 +269,10 @@ def cut_in() -> Benchmark:
 
 
 PROBLEMS: Mapping[str, Callable[[], Benchmark]] = {
-    "A": linear,
-    "A at 1e-4": lambda: linear(1e-4),
-    "A at 0.01": lambda: linear(1e-2),
-    "A at 0.3": lambda: linear(0.3),
+    "A": lambda: linear(2),
+    "A at 1e-4": lambda: linear(2, 1e-4),
+    "A at 0.01": lambda: linear(2, 1e-2),
+    "A at 0.3": lambda: linear(2, 0.3),
     "B": three_corners,
     "C": follower,
     "D": lognormal_sum,
@@ -294,5 +283,7 @@ PROBLEMS: Mapping[str, Callable[[], Benchmark]] = {
     "uneven sides": lambda: two_sides(8e-6, 2e-6),
     "elbow": lambda: elbow(2),
     "elbow, d = 3": lambda: elbow(3),
+    "linear, d = 10": lambda: linear(10),
+    "random walk, d = 10": random_walk,
     "cut-in": cut_in,
 }

@@ -9,6 +9,10 @@ class InvalidInputError(CrashrateError, ValueError):
     """A value given by the user is not what was expected."""
 
 
+class MissingExtraError(CrashrateError, ImportError):
+    """Something was asked for that needs an extra which is not installed."""
+
+
 class EventsError(InvalidInputError):
     """A table of events has a missing column, a bad cell or a row outside the bounds."""
 

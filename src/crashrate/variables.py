@@ -130,8 +130,9 @@ def as_rows(x: npt.ArrayLike, n_columns: int, what: str = "x") -> FloatArray:
         raise InvalidInputError(
             f"{what}: expected an array of shape (n, {n_columns}), got {rows.shape}."
         )
-    bad = np.argwhere(~np.isfinite(rows))
-    if len(bad):
+    finite = np.isfinite(rows)
+    if not finite.all():
+        bad = np.argwhere(~finite)
         row, column = (int(i) for i in bad[0])
         raise InvalidInputError(
             f"{what}: expected finite numbers, got {rows[row, column]} at row {row}, "

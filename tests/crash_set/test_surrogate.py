@@ -121,7 +121,7 @@ def test_blocks_do_not_change_predictions():
 def test_warm_start_ends_where_a_cold_one_does():
     u, crash = sharp_labels(40, seed=3)
     early = fit_surrogate(u[:30], crash[:30], PRIOR)
-    warm = fit_surrogate(u, crash, PRIOR, early.sites)
+    warm = fit_surrogate(u, crash, PRIOR, early.sites.grown(len(u)))
     cold = fit_surrogate(u, crash, PRIOR)
     at = sharp_labels(50, seed=4)[0]
     assert warm.predict(at).probability == pytest.approx(cold.predict(at).probability, abs=5e-3)

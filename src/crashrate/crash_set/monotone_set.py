@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from crashrate.crash_set.corners import corners_of, cut, first_corner
+from crashrate.crash_set.corners import corners_of
 from crashrate.crash_set.fronts import (
     above_any,
     below_any,
@@ -29,7 +30,7 @@ class Label(IntEnum):
     CRASH = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class MonotoneSet:
     """A crash set in risk coordinates, between an inner and an outer set.
 
@@ -53,9 +54,6 @@ class MonotoneSet:
         S_1 of the 2017 paper: Pareto-minimal crashes.
     maximal_safe : (n0, m) array
         S_0: Pareto-maximal safe points.
-    corners : (nc, m) array
-        The outer set is, up to its boundary, the union of the orthants {u >= corner};
-        -inf where a corner does not bound a coordinate.
     """
 
     u: FloatArray
@@ -63,7 +61,6 @@ class MonotoneSet:
     contradicted: BoolArray
     minimal_crashes: FloatArray
     maximal_safe: FloatArray
-    corners: FloatArray
 
     @classmethod
     def empty(cls, m: int) -> "MonotoneSet":
@@ -77,12 +74,22 @@ class MonotoneSet:
         if m < 1:
             raise InvalidInputError(f"m: expected at least one risk coordinate, got {m}.")
         none, no = frozen(np.empty((0, m))), frozen([], np.bool_)
-        return cls(none, no, no, none, none, frozen(first_corner(m)))
+        return cls(none, no, no, none, none)
 
     @property
     def n_coordinates(self) -> int:
         """Number m of risk coordinates."""
         return int(self.u.shape[1])
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """Minimal corners of the outer set, (nc, m).
+
+        The outer set is, up to its boundary, the union of the orthants {u >= corner}; -inf where a
+        corner does not bound a coordinate. Made when asked for: their number is Θ(n^⌊m/2⌋) for n
+        safe points, which a campaign in ten coordinates could not wait for.
+        """
+        return frozen(corners_of(self.maximal_safe))
 
     @property
     def contradictions(self) -> int:
@@ -129,7 +136,7 @@ class MonotoneSet:
         front = insert_maximal(self.maximal_safe, point)
         if front is self.maximal_safe:
             return seen
-        return replace(seen, maximal_safe=frozen(front), corners=frozen(cut(self.corners, point)))
+        return replace(seen, maximal_safe=frozen(front))
 
     def _opposed(self, point: FloatArray, *, crash: bool) -> BoolArray:
         """Labels seen that contradict the label `crash` of `point`: safe ones above a crash, …"""
@@ -156,14 +163,12 @@ class MonotoneSet:
 
 
 def _rebuilt(s: MonotoneSet) -> MonotoneSet:
-    """`s` with fronts and corners made anew from the labels that nothing contradicts."""
+    """`s` with fronts made anew from the labels that nothing contradicts."""
     trusted = ~s.contradicted
-    safe = maximal(s.u[trusted & ~s.crash])
     return replace(
         s,
         minimal_crashes=frozen(minimal(s.u[trusted & s.crash])),
-        maximal_safe=frozen(safe),
-        corners=frozen(corners_of(safe)),
+        maximal_safe=frozen(maximal(s.u[trusted & ~s.crash])),
     )
 
 

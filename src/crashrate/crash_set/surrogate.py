@@ -10,10 +10,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import log_ndtr, ndtr
 
 from crashrate.variables import BoolArray, FloatArray
+
+IntArray = npt.NDArray[np.intp]
 
 MAX_SWEEPS = 25
 SWEEP_TOLERANCE = 0.02
@@ -67,10 +70,33 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Sites:
-    """Gaussian approximations of the n likelihood terms: precisions and precision × mean."""
+    """Gaussian approximations of the n likelihood terms: precisions and precision × mean.
+
+    NaN where a term was never approximated.
+    """
 
     tau: FloatArray
     nu: FloatArray
+
+    @classmethod
+    def unknown(cls, n: int) -> "Sites":
+        """Of `n` terms that were never approximated."""
+        return cls(np.full(n, np.nan), np.full(n, np.nan))
+
+    def grown(self, n: int) -> "Sites":
+        """With unknown ones added, `n` in all."""
+        more = Sites.unknown(n - len(self.tau))
+        return Sites(np.concatenate([self.tau, more.tau]), np.concatenate([self.nu, more.nu]))
+
+    def of(self, rows: IntArray) -> "Sites":
+        """Those of `rows`."""
+        return Sites(self.tau[rows], self.nu[rows])
+
+    def put(self, rows: IntArray, sites: "Sites") -> "Sites":
+        """With those of `rows` replaced."""
+        tau, nu = self.tau.copy(), self.nu.copy()
+        tau[rows], nu[rows] = sites.tau, sites.nu
+        return Sites(tau, nu)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +177,7 @@ def fit_surrogate(
     crash : ndarray of bool, shape (n,)
     prior : Prior
     warm : Sites, optional
-        Of an earlier fit to the first labels.
+        Of earlier fits, one for each label; NaN where there was none.
     """
     signs = np.where(crash, 1.0, -1.0)
     covariance, mean = prior.covariance(u, u), prior.mean(u)
@@ -173,10 +199,10 @@ def _damped(old: FloatArray, new: FloatArray) -> FloatArray:
 def _start(signs: FloatArray, mean: FloatArray, prior: Prior, warm: Sites | None) -> Sites:
     tau = np.full(len(signs), 0.1 / prior.variance)
     nu = tau * mean + 1e-3 * signs
-    if warm is not None:
-        n = len(warm.tau)
-        tau[:n], nu[:n] = warm.tau, warm.nu
-    return Sites(tau, nu)
+    if warm is None:
+        return Sites(tau, nu)
+    known = ~np.isnan(warm.tau)
+    return Sites(np.where(known, warm.tau, tau), np.where(known, warm.nu, nu))
 
 
 def _factor(covariance: FloatArray, tau: FloatArray) -> FloatArray:

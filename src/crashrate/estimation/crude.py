@@ -1,4 +1,8 @@
-"""Random encounters until one crashes, for when exploration finds no crash."""
+"""For when exploration finds no crash: random encounters, and the emptiest places in turn.
+
+Only the random encounters bound the probability; a small crash set far from traffic's bulk is found
+by looking where no run has been.
+"""
 
 from collections.abc import Generator
 from dataclasses import replace
@@ -9,9 +13,11 @@ from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.encounters import Encounters
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.estimation.surveying import emptiest
 from crashrate.variables import FloatArray
 
-CRUDE = 1_000_000  # the random stream, beside those of the rounds
+CRUDE, FAR = 1_000_000, 1_000_001  # random streams, beside those of the rounds
+MAX_FAR = 2000  # a space that so many runs do not fill will not be filled
 PHASE = "random encounters"
 
 
@@ -26,12 +32,21 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
         Where none crashed: probability 0 with the upper end that the safe random encounters leave.
     """
     rng, seen = problem.rng(CRUDE), Encounters()
+    n_far = min(problem.max_calls - labels.n, MAX_FAR)
+    far = emptiest(problem, labels, n_far, problem.rng(FAR))
     while labels.n < problem.max_calls:
         x = encounter(problem, rng, labels.n)
         y = yield Query(x, _nothing(problem, labels, seen))
         labels, seen = labels.add(x, y), seen + Encounters.of(y)
         if seen.n_crashes:
             return labels
+        x, far = far[: problem.batch_size], far[problem.batch_size :]
+        x = x[: problem.max_calls - labels.n]
+        if len(x):
+            y = yield Query(x, _nothing(problem, labels, seen))
+            labels = labels.add(x, y)
+            if (y == 1).any():
+                return labels
     return replace(_nothing(problem, labels, seen), stop_reason=StopReason.BUDGET_ENDED)
 
 

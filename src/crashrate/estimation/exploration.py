@@ -43,11 +43,14 @@ class Explored:
         The inflated traffic model in which the crash was found.
     ordinary : ndarray, shape (n, m)
         Risk coordinates of draws of the traffic model; empty where crashes are common among them.
+    n_filling : int
+        Runs that went to the emptiest places, in search of a crash.
     """
 
     labels: Labels
     wide: Gaussians
     ordinary: FloatArray
+    n_filling: int = 0
 
     @property
     def found(self) -> bool:
@@ -71,7 +74,7 @@ def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:
 
 def explore(problem: Problem) -> Exploration:
     """Find a crash, and where the crash set begins; see the module."""
-    rng, labels = problem.rng(0), Labels.empty(problem)
+    rng, labels, n_filling = problem.rng(0), Labels.empty(problem), 0
     ordinary = problem.traffic.sample(N_ORDINARY, rng)
     if problem.order is not None:
         labels, wide, pool = yield from _inflate(problem, labels, rng)
@@ -82,11 +85,13 @@ def explore(problem: Problem) -> Exploration:
             labels = labels.without_order()  # the most dangerous situations are safe: not believed
     if not (labels.y == 1).any():
         wide = inflated(problem.traffic, factors(INFLATION))
+        before = labels.n
         labels = yield from _fill_space(problem, labels, wide, rng)
+        n_filling = labels.n - before
     if (labels.y == 1).any():
         labels = yield from _search_lines(problem, labels, ordinary)
     labels, u = yield from _check_ordinary(problem, labels, ordinary)
-    return Explored(labels, wide, u)
+    return Explored(labels, wide, u, n_filling)
 
 
 def factors(inflation: float) -> tuple[float, ...]:

@@ -1,11 +1,12 @@
 """The surrogate's kernel: chosen anew while outcomes are few, and as their number grows."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
-from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
+from crashrate.crash_set.surrogate import IntArray, Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.view import Standardiser
 from crashrate.variables import FloatArray
@@ -15,8 +16,12 @@ KERNELS = tuple(
     for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
     for variance in (1e3, 1e4)
 )
+LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
 Kernel = tuple[float, float, float]
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
+# The surrogate's cost grows with the cube of its labels. Beyond so many it keeps the new ones and
+# those of the others that hold the edge in place, at least MIN_OLD of them.
+MAX_LABELS, MIN_OLD = 700, 350
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class Model:
     n_chosen : int
         Labels when the kernel was last chosen.
     warm : tuple
-        The sites of each kernel's last fit.
+        The sites of each kernel's last fit, of all labels.
     """
 
     standardise: Standardiser
@@ -54,16 +59,36 @@ class Model:
         known = labels.known
         u = self.standardise(np.concatenate([ordinary, labels.u[known]]))
         crash = np.concatenate([np.zeros(len(ordinary), bool), labels.y[known] == 1])
+        rows = self._telling(len(u))
         choose = labels.n < REFIT_ALWAYS or labels.n >= REFIT_GROWTH * self.n_chosen
         warm, d = dict(self.warm), labels.u.shape[1]
-        fits = {
-            kernel: fit_surrogate(u, crash, _prior(kernel, d, directed=directed), warm.get(kernel))
+        sites = {
+            kernel: warm.get(kernel, Sites.unknown(0)).grown(len(u))
             for kernel in (KERNELS if choose else (self.best,))
         }
+        fits = {
+            kernel: fit_surrogate(
+                u[rows], crash[rows], _prior(kernel, d, directed=directed), site.of(rows)
+            )
+            for kernel, site in sites.items()
+        }
         best = max(fits, key=lambda kernel: fits[kernel].log_score)
-        warm |= {kernel: fit.sites for kernel, fit in fits.items()}
+        warm |= {kernel: sites[kernel].put(rows, fit.sites) for kernel, fit in fits.items()}
         n_chosen = labels.n if choose else self.n_chosen
         return fits[best], replace(self, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
+
+    def _telling(self, n: int) -> IntArray:
+        """Which of `n` labels the surrogate is fitted to: the new ones and the sharpest old sites.
+
+        A label far from the edge has a site of next to no precision: the fit is as good without.
+        """
+        if n <= MAX_LABELS:
+            return np.arange(n)
+        warm = dict(self.warm).get(self.best, Sites.unknown(0))
+        n_old = max(MAX_LABELS - (n - len(warm.tau)), MIN_OLD)
+        # a label without a site was never fitted: as good as new
+        by_precision = np.argsort(-np.nan_to_num(warm.tau, nan=np.inf), kind="stable")
+        return np.sort(np.concatenate([by_precision[:n_old], np.arange(len(warm.tau), n)]))
 
 
 def _prior(kernel: Kernel, d: int, *, directed: bool) -> Prior:
@@ -72,4 +97,5 @@ def _prior(kernel: Kernel, d: int, *, directed: bool) -> Prior:
     if directed:
         return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
     # without an order no direction is riskier, and far from any crash is safe
-    return Prior(bump, length, variance, linear=0.01, slope=0.0, constant=-4.0)
+    far = FAR_SAFE * math.sqrt(bump + LINEAR)
+    return Prior(bump, length, variance, linear=LINEAR, slope=0.0, constant=far)

@@ -112,6 +112,17 @@ class Labels:
         crash, safe = above_any(u, least), below_any(u, most)
         return crash & ~safe, safe & ~crash
 
+    def exceptions(self, margin: FloatArray) -> tuple[int, int]:
+        """Safe outcomes, and all, that lie `margin` (m,) and more above a crash.
+
+        The order implies that none of them is safe: the first over the second is the share of
+        holes in the crash set. (A crash that many safe outcomes contradict is itself the odd one.)
+        """
+        if self.learned is None or not self.contradictions:
+            return 0, 0
+        tested = above_any(self.u - margin, self._fronts[0]) & self.known
+        return int((tested & (self.y == 0)).sum()), int(tested.sum())
+
     @cached_property
     def _fronts(self) -> tuple[FloatArray, FloatArray]:
         """Minimal crashes and maximal safe outcomes among those that few others contradict."""

@@ -62,12 +62,16 @@ def _untested(labels: Labels, pool: Pool, times: int) -> FloatArray:
 
 
 def farthest(u: FloatArray, known: FloatArray, rows: np.ndarray, n: int) -> np.ndarray:
-    """`n` of `rows`, each the farthest from the known points and those chosen before it."""
+    """`n` of `rows`, each the farthest from the known points and those chosen before it.
+
+    The first, where nothing is known, is the farthest from the center of all.
+    """
     if not len(rows):
         return rows
     scale = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
     z, chosen = u[rows] / scale, []
-    distance = np.min([((z - k) ** 2).sum(axis=1) for k in known / scale], axis=0)
+    near = known / scale if len(known) else z.mean(axis=0)[None]
+    distance = np.min([((z - k) ** 2).sum(axis=1) for k in near], axis=0)
     for _ in range(min(n, len(rows))):
         best = int(distance.argmax())
         chosen.append(best)

@@ -21,7 +21,9 @@ from crashrate.variables import FloatArray
 # rounds, and draws.
 PRIOR_ROUNDS = 4
 PRIOR_DRAWS = 20
-MIN_ROUNDS = 4
+MIN_ROUNDS = 3
+# Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
+MIN_INFLATION = 0.7
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
@@ -181,9 +183,11 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
 
     The interval is Student's, with the predicted variance inflated by what was seen: by the Birge
     ratio (Birge 1932) of the rounds' scatter to the predicted one, or by the ratio of the draws'
-    squared contributions to the predicted ones, whichever is larger; both shrunk towards 1, and
-    never below. Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant
-    by 1.3 in standard deviation), and the few rounds' own scatter alone under-covers.
+    squared contributions to the predicted ones, whichever is larger; both shrunk towards 1.
+    Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
+    standard deviation), and the few rounds' own scatter alone under-covers. Where both say that the
+    prediction was too large (a smooth edge is better known than the surrogate dares to hold), the
+    interval narrows with them, within `MIN_INFLATION`.
     """
     rounds = not_refuted(rounds, float(np.median([r.predicted for r in rounds[-LATEST:]])))
     estimates, predicted, variances, squares = (
@@ -232,7 +236,7 @@ def _together(share: FloatArray, sums: Sums, n_draws: int) -> _Together:
     seen = (share**2 * sums.squares).sum(axis=0)
     # squared contributions of the draws over the predicted ones, shrunk towards 1
     surprise = (PRIOR_DRAWS + n_draws * seen / variance) / (PRIOR_DRAWS + n_draws)
-    inflation = np.maximum(1.0, np.maximum(birge, surprise))
+    inflation = np.maximum(MIN_INFLATION, np.maximum(birge, surprise))
     return _Together(center, variance, squares.mean(axis=0), inflation)
 
 

@@ -31,7 +31,7 @@ from crashrate.estimation.rounds import (
     measure,
     not_refuted,
 )
-from crashrate.estimation.selection import greedy, to_estimate, to_learn
+from crashrate.estimation.selection import aside, to_estimate, to_learn
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
 from crashrate.estimation.view import Standardiser, View, see
@@ -47,7 +47,7 @@ ROUND = 10
 # budget grows must go on as it was.)
 LEARNING_RUNS = 300
 RELEARNING_RUNS = 100  # after an order was dropped
-GREEDY_SHARE = 0.4
+ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
 # The order is dropped when so many outcomes would have to be discarded for the others to agree with
 # it, at least. It is false where they contradict it by more than a ripple at the crash set's edge
 # (in the surrogate's standardised coordinates). Else danger may grow as declared, but where the
@@ -136,7 +136,8 @@ def sequential(problem: Problem) -> Learner:
     while state.labels.n < problem.max_calls:
         if not state.ordered and state.encounters is None:
             labels, met = yield from meet(problem, state.labels, problem.rng(ENCOUNTERS))
-            labels = yield from first_survey(problem, labels, problem.rng(SURVEYS))
+            rng = problem.rng(SURVEYS)
+            labels = yield from first_survey(problem, labels, explored.n_filling, rng)
             state = replace(state, labels=labels, encounters=met, ordinary=state.ordinary[:0])
             continue
         state, view = yield from _round(problem, state, snapshot)
@@ -282,9 +283,9 @@ def _estimate(
     """Runs drawn with known probabilities, and a few that settle much through the order."""
     n = problem.batch_size
     wanted = towards(view, state.members)
-    aside = greedy(wanted, round(GREEDY_SHARE * n) if state.ordered else 0, rng)
-    drawn = to_estimate(view, n - len(aside), rng, wanted if state.members else None)
-    rows = np.unique(np.concatenate([drawn.rows, aside]))
+    others = aside(wanted, round(ASIDE_SHARE * n) if state.ordered else 0, rng)
+    drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
+    rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n
     if len(rows) > room:  # a cut batch is no unbiased round: its runs are spent on learning
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows[:room]], snapshot)

@@ -26,10 +26,10 @@ Surveying = Generator[Query, FloatArray, tuple[Labels, bool]]
 
 
 def first_survey(
-    problem: Problem, labels: Labels, rng: np.random.Generator
+    problem: Problem, labels: Labels, n_before: int, rng: np.random.Generator
 ) -> Generator[Query, FloatArray, Labels]:
-    """Look at the emptiest places before anything is estimated."""
-    x = _emptiest(problem, labels, N_FIRST, rng)
+    """Look at the emptiest places before anything is estimated, unless `n_before` runs did."""
+    x = emptiest(problem, labels, max(N_FIRST - n_before, 0), rng)
     return (yield from ask(problem, labels, x))
 
 
@@ -38,7 +38,7 @@ def survey(
 ) -> Surveying:
     """Look again; the labels, and whether a crash was met where none was believed."""
     labels = belief.labels
-    x = _emptiest(problem, labels, N_AGAIN, rng)
+    x = emptiest(problem, labels, N_AGAIN, rng)
     sure = belief.see(x).surrogate_h < SURPRISE
     before = labels.n
     labels = yield from ask(problem, labels, x, snapshot)
@@ -46,7 +46,7 @@ def survey(
     return labels, bool((met & sure[: len(met)]).any())
 
 
-def _emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
+def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
     """Situations (n, d) that traffic reaches, each the farthest from all runs."""
     wide = inflated(problem.traffic, factors(INFLATION))
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)

@@ -161,6 +161,9 @@ def held(
     deep = labels.implied_deep(u, ripple * standardise.scale)
     edge = (inner | outside) & (np.abs(seen.danger) < 2 * ripple) & ~deep
     h = np.where(edge, np.clip(raw, EDGE_DOUBT, 1 - EDGE_DOUBT), h)
+    n_holes, n_tested = labels.exceptions(RIPPLE * standardise.scale)
+    if n_holes:
+        h = np.where(inner, np.minimum(h, 1 - n_holes / n_tested), h)
     if labels.learned is None:
         h = np.where(h < FAR, FAR_PROBABILITY, h)
     return h, raw, inner, outside

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crashrate.traffic.quadratic import blocks, features, log_sum, truncated_coefficients
+from crashrate.traffic.log_mixture import LogMixture
 from crashrate.variables import FloatArray
 
 EM_STEPS = 15
@@ -32,37 +32,22 @@ class Gaussians:
         return np.asarray(np.linalg.cholesky(self.covariances), dtype=np.float64)
 
     @cached_property
-    def _standard(self) -> tuple[FloatArray, FloatArray]:
-        """Shift and scale of the coordinates in which the coefficients are of moderate size."""
+    def _mixture(self) -> LogMixture:
         shift = self.weights @ self.means
         variances = np.diagonal(self.covariances, axis1=1, axis2=2) + (self.means - shift) ** 2
-        return shift, np.sqrt(self.weights @ variances)
-
-    @cached_property
-    def _coefficients(self) -> FloatArray:
-        shift, scale = self._standard
+        scale = np.sqrt(self.weights @ variances)
         none = np.zeros(len(self.weights))  # no box: the whole mass
-        return truncated_coefficients(
+        return LogMixture.of(
             self.weights, none, self.means, self.covariances, shift=shift, scale=scale
         )
 
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log density at `x` (n, d), shape (n,)."""
-        out = np.empty(len(x))
-        for block in blocks(len(x)):
-            out[block] = log_sum(self._block_terms(x[block]))
-        return out
+        return self._mixture.log_density(x)
 
     def component_probabilities(self, x: FloatArray) -> FloatArray:
         """Probability that each of `x` (n, d) came from each component, shape (n, K)."""
-        terms = self._block_terms(x)
-        log_sum(terms)
-        return terms.T
-
-    def _block_terms(self, x: FloatArray) -> FloatArray:
-        """Log of weight × density of each component at `x` (n, d), shape (K, n)."""
-        shift, scale = self._standard
-        return np.asarray(self._coefficients @ features((x - shift) / scale))
+        return self._mixture.shares(x)
 
     def sample(self, n: int, rng: np.random.Generator) -> FloatArray:
         """`n` draws, grouped by component, shape (n, d)."""

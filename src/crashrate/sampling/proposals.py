@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError
 from crashrate.sampling.orthants import DominatingPoints
-from crashrate.traffic import quadratic
+from crashrate.traffic.log_mixture import LogMixture
 from crashrate.traffic.model import TrafficModel
 from crashrate.traffic.truncated_normal import sample_truncated
 from crashrate.variables import FloatArray, as_rows, frozen
@@ -50,7 +50,7 @@ class Proposal:
     lower: FloatArray
     upper: FloatArray
     log_masses: FloatArray
-    _coefficients: FloatArray = field(init=False, repr=False)
+    _mixture: LogMixture = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         total = float(np.sum(self.weights))
@@ -60,7 +60,7 @@ class Proposal:
             )
         for name in ("weights", "means", "covariances", "lower", "upper", "log_masses"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "_coefficients", frozen(self._standard_coefficients()))
+        object.__setattr__(self, "_mixture", self._log_mixture())
 
     @classmethod
     def of_traffic(cls, traffic: TrafficModel) -> "Proposal":
@@ -84,21 +84,15 @@ class Proposal:
         """Number d of variables."""
         return int(self.means.shape[1])
 
-    @property
-    def _standard(self) -> tuple[FloatArray, FloatArray]:
-        """Shift and scale in which the components' coefficients are of moderate size."""
+    def _log_mixture(self) -> LogMixture:
         variances = np.diagonal(self.covariances, axis1=1, axis2=2)
-        return self.weights @ self.means, np.sqrt(self.weights @ variances)
-
-    def _standard_coefficients(self) -> FloatArray:
-        shift, scale = self._standard
-        return quadratic.truncated_coefficients(
+        return LogMixture.of(
             self.weights,
             self.log_masses,
             self.means,
             self.covariances,
-            shift=shift,
-            scale=scale,
+            shift=self.weights @ self.means,
+            scale=np.sqrt(self.weights @ variances),
         )
 
     def log_density(self, x: npt.ArrayLike) -> FloatArray:
@@ -110,11 +104,7 @@ class Proposal:
             If x has another shape, or a value that is not finite.
         """
         rows = as_rows(x, self.n_variables)
-        shift, scale = self._standard
-        out = np.empty(len(rows))
-        for block in quadratic.blocks(len(rows)):
-            terms = self._coefficients @ quadratic.features((rows[block] - shift) / scale)
-            out[block] = quadratic.log_sum(np.asarray(terms))
+        out = self._mixture.log_density(rows)
         out[~((rows >= self.lower) & (rows <= self.upper)).all(axis=1)] = -np.inf
         return out
 

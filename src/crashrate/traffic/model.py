@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError
-from crashrate.traffic import quadratic
+from crashrate.traffic.log_mixture import LogMixture
 from crashrate.traffic.model_checks import (
     checked_members,
     checked_shapes,
@@ -89,7 +89,7 @@ class TrafficModel:
     component_means: FloatArray = field(init=False, repr=False)
     mean: FloatArray = field(init=False, repr=False)
     covariance: FloatArray = field(init=False, repr=False)
-    _coefficients: FloatArray = field(init=False, repr=False)
+    _mixture: LogMixture = field(init=False, repr=False)
     _low: FloatArray = field(init=False, repr=False)
     _high: FloatArray = field(init=False, repr=False)
 
@@ -108,7 +108,7 @@ class TrafficModel:
             _high=frozen(self.scales.forward(self.upper)),
         )
         self._set_moments()
-        self._set(_coefficients=frozen(self._standard_coefficients()))
+        self._set(_mixture=self._log_mixture())
 
     def _set(self, **values: Any) -> None:
         for name, value in values.items():
@@ -135,19 +135,14 @@ class TrafficModel:
             covariance=frozen(covariance),
         )
 
-    @property
-    def _scale(self) -> FloatArray:
-        return np.sqrt(np.diagonal(self.covariance))
-
-    def _standard_coefficients(self) -> FloatArray:
-        """Coefficients of log w_k g_k in the features of (z - mean) / scale."""
-        return quadratic.truncated_coefficients(
+    def _log_mixture(self) -> LogMixture:
+        return LogMixture.of(
             self.weights,
             self.log_masses,
             self.means,
             self.covariances,
             shift=self.mean,
-            scale=self._scale,
+            scale=np.sqrt(np.diagonal(self.covariance)),
         )
 
     @property
@@ -234,13 +229,12 @@ class TrafficModel:
         rows, average = as_rows(x, self.n_variables), self.average
         starts = np.cumsum([0, *(member.n_components for member in self.members[:-1])])
         log_density, ratios = np.empty(len(rows)), np.empty((len(rows), len(self.members)))
-        for block in quadratic.blocks(len(rows)):
-            z = self._modelled_rows(rows[block])  # that of the average, on the same scales
-            terms = average._block_terms(z)  # noqa: SLF001 - a model too; becomes shares
-            log_density[block] = quadratic.log_sum(terms) + self.scales.log_jacobian(z)
-            ratios[block] = np.add.reduceat(terms, starts, axis=0).T * len(self.members)
-        log_density[~self.contains(rows)] = -np.inf
-        return log_density, ratios
+        z = self._modelled_rows(rows)  # that of the average, on the same scales
+        for block in average._mixture.blocks(z):  # noqa: SLF001 - a model too
+            log_density[block.rows] = block.logs
+            parts = np.add.reduceat(block.powers, starts, axis=0)
+            ratios[block.rows] = (parts * (len(self.members) / block.totals)).T
+        return self._in_the_box(log_density, rows, z), ratios
 
     def from_modelled(self, z: FloatArray) -> FloatArray:
         """Situations x (n, d) of rows z (n, d): in the box where z is, rounding or not."""
@@ -251,48 +245,56 @@ class TrafficModel:
     def contains(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Which rows (n, d) lie in the box, sides included (but no logarithm of 0): (n,)."""
         rows = as_rows(x, self.n_variables)
-        within = (rows >= self.lower) & (rows <= self.upper) & ~(self.scales.log & (rows <= 0.0))
-        return np.asarray(within.all(axis=1))
+        within = np.ones(len(rows), dtype=bool)
+        sides = zip(rows.T, self.lower, self.upper, self.scales.log, strict=True)
+        for column, low, high, log in sides:  # a sixth of the time that rows so short take
+            within &= (column >= low) & (column <= high)
+            if log:
+                within &= column > 0.0
+        return within
 
-    def log_density(self, x: npt.ArrayLike) -> FloatArray:
+    def log_density(self, x: npt.ArrayLike, *, fast: bool = False) -> FloatArray:
         """Log density (n,) of rows (n, d); -inf outside the box.
+
+        Parameters
+        ----------
+        x : array_like, shape (n, d)
+        fast : bool
+            With the compiled kernel of `crashrate[fast]`: half the time a row, but half a second
+            before a process's first such call (seconds once, to compile), so it gains from tens
+            of millions of rows on. The last bits differ: nothing in a campaign asks for it.
 
         Raises
         ------
         InvalidInputError
             If x has another shape, or a value that is not finite.
+        MissingExtraError
+            If `fast`, and numba is not installed.
         """
         rows = as_rows(x, self.n_variables)
-        out = np.empty(len(rows))
-        for block in quadratic.blocks(len(rows)):
-            z = self._modelled_rows(rows[block])
-            out[block] = quadratic.log_sum(self._block_terms(z)) + self.scales.log_jacobian(z)
-        out[~self.contains(rows)] = -np.inf
-        return out
+        z = self._modelled_rows(rows)
+        return self._in_the_box(self._mixture.log_density(z, fast=fast), rows, z)
 
     def log_component_densities(self, x: npt.ArrayLike) -> FloatArray:
         """log w_k g_k(x) of every component: (n, K); -inf outside the box."""
         rows = as_rows(x, self.n_variables)
-        out = np.empty((len(rows), self.n_components))
-        for block in quadratic.blocks(len(rows)):
-            z = self._modelled_rows(rows[block])
-            out[block] = (self._block_terms(z) + self.scales.log_jacobian(z)).T
-        out[~self.contains(rows)] = -np.inf
-        return out
+        z = self._modelled_rows(rows)
+        return self._in_the_box(self._mixture.log_terms(z), rows, z)
+
+    def _in_the_box(self, log_density: FloatArray, rows: FloatArray, z: FloatArray) -> FloatArray:
+        """Log densities (n, …) of x from those of z, in their place; -inf outside the box."""
+        if not self.scales.linear:
+            jacobian = self.scales.log_jacobian(z)
+            log_density += jacobian if log_density.ndim == 1 else jacobian[:, None]
+        within = self.contains(rows)
+        if not within.all():
+            log_density[~within] = -np.inf
+        return log_density
 
     def component_probabilities(self, x: npt.ArrayLike) -> FloatArray:
         """Probability (n, K) that each row came from each component (paper, eq. 3)."""
         rows = as_rows(x, self.n_variables)
-        out = np.empty((len(rows), self.n_components))
-        for block in quadratic.blocks(len(rows)):
-            terms = self._block_terms(self._modelled_rows(rows[block]))
-            quadratic.log_sum(terms)
-            out[block] = terms.T
-        return out
-
-    def _block_terms(self, z: FloatArray) -> FloatArray:
-        """log w_k g_k (K, n) of a block of rows z, as if there were no box."""
-        return np.asarray(self._coefficients @ quadratic.features((z - self.mean) / self._scale))
+        return self._mixture.shares(self._modelled_rows(rows))
 
     def _modelled_rows(self, rows: FloatArray) -> FloatArray:
         """z of rows x; any finite number where there is none, for that is outside the box."""

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from crashrate.variables import FloatArray, frozen
 
 BLOCK = 4096
-_LOG_NOTHING = -1e300
 
 
 @cache
@@ -43,43 +42,6 @@ def pair_factors(d: int) -> FloatArray:
     """The factor of y_i y_j in -y' P y / 2, per entry P_ij: -1/2 on the diagonal, else -1."""
     i, j = pairs(d)
     return np.where(i == j, -0.5, -1.0)
-
-
-def coefficients(log_scale: FloatArray, means: FloatArray, precisions: FloatArray) -> FloatArray:
-    """Coefficients (K, n_features) of log_scale - (y - mean)' precision (y - mean) / 2."""
-    d = means.shape[1]
-    i, j = pairs(d)
-    linear = np.einsum("kij,kj->ki", precisions, means)
-    constant = log_scale - 0.5 * np.einsum("ki,ki->k", linear, means)
-    return np.hstack([constant[:, None], linear, precisions[:, i, j] * pair_factors(d)])
-
-
-def truncated_coefficients(
-    weights: FloatArray,
-    log_masses: FloatArray,
-    means: FloatArray,
-    covariances: FloatArray,
-    *,
-    shift: FloatArray,
-    scale: FloatArray,
-) -> FloatArray:
-    """Coefficients of log w_k N(x; m_k, C_k) / P_k in the features of (x - shift) / scale.
-
-    In standard coordinates, with the Jacobian in the constant: the coefficients then are of
-    moderate size whatever the units.
-    """
-    standard = covariances / np.outer(scale, scale)
-    # log 0 as a number: an infinite one in a matrix product sets off warnings of invalid values
-    log_weights = np.log(weights, out=np.full(len(weights), _LOG_NOTHING), where=weights > 0.0)
-    log_scale = (
-        log_weights
-        - log_masses
-        - 0.5 * np.linalg.slogdet(standard)[1]
-        - 0.5 * len(scale) * np.log(2.0 * np.pi)
-        - np.log(scale).sum()
-    )
-    precisions = np.asarray(np.linalg.inv(standard), np.float64)
-    return coefficients(log_scale, (means - shift) / scale, precisions)
 
 
 def blocks(n: int) -> Iterator[slice]:
