@@ -247,6 +247,18 @@ def test_budget_ended_leaves_with_3(small, quick):
     assert f"Alarm: {Alarm.TARGET_NOT_REACHED}." in done.stderr
 
 
+def test_bounds_are_printed_with_the_audit_of_their_order(small):
+    text = (small / "small.toml").read_text()
+    (small / "small.toml").write_text(text.replace("= 4", '= 40\n[risk]\na = "increasing"'))
+    done = small_run(small, "--goal", "bounds", "--relative-half-width", "0.001")
+    assert done.stdout.startswith("bounds if the risk order holds: ")
+    assert done.stdout.splitlines()[1].startswith("audit of the order: of ")
+    assert "not estimated" in (small / "run" / "report.html").read_text()
+    refused = small_run(small)
+    assert refused.exit_code == 1
+    assert 'goal: has "bounds", asked for "probability"' in error_line(refused)
+
+
 def test_json_is_pure_and_the_same_everywhere(small, quick):
     del quick
     done = json.loads(small_run(small, "--format", "json").stdout)

@@ -44,6 +44,9 @@ class Method(StrEnum):
     CROSS_ENTROPY = "cross-entropy"
 
 
+Goal = StrEnum("Goal", ["PROBABILITY", "BOUNDS"])  # what the simulator runs are spent on
+
+
 # --- arguments
 
 
@@ -135,10 +138,7 @@ def _plain_errors(*, debug: bool) -> Iterator[None]:
     except (typer.Exit, typer.BadParameter, BrokenPipeError):
         raise
     except KeyboardInterrupt:
-        typer.echo(
-            "Interrupted. The same command goes on where a run stopped; a fit begins again.",
-            err=True,
-        )
+        typer.echo(INTERRUPTED_WORDS, err=True)
         raise typer.Exit(INTERRUPTED) from None
     except Exception as error:
         if debug:
@@ -259,6 +259,9 @@ def run(
     max_calls: Annotated[
         int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
     ] = None,
+    goal: Annotated[
+        Goal | None, typer.Option(help="Target an estimate, or bounds if the risk order holds.")
+    ] = None,
     replay_calls: Annotated[
         int,
         typer.Option(
@@ -299,6 +302,7 @@ def run(
             method=chosen,
             relative_half_width=relative_half_width,
             max_calls=max_calls,
+            goal=goal and goal.value,
             same_vehicle=same_vehicle,
             events=events,
             replay_calls=replay_calls,

@@ -36,6 +36,8 @@ def print_result(result: dict[str, Any], output: Format) -> None:
     from crashrate.estimation.alarms import StopReason
 
     typer.echo(result["sentence"])
+    if audit := result.get("order_audit"):
+        typer.echo(audit["sentence"])
     if traffic_range := result.get("traffic_range"):
         typer.echo(traffic_range["sentence"])
     if recordings := result.get("recordings"):
@@ -164,6 +166,9 @@ def standing(campaign: "Campaign") -> str:
     """How a campaign stands, on one line of progress."""
     snapshot, calls = campaign.snapshot, campaign.n_calls
     text = f"{runs(calls, 'simulator run')}, {snapshot.phase}"
+    if campaign.goal == "bounds":
+        low, high = snapshot.bounds
+        return f"{text}: {low:.1e} ≤ P ≤ {high:.1e}" if low > 0 else text
     if not snapshot.probability > 0:
         return text
     low, high = snapshot.interval

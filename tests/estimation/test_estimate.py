@@ -61,6 +61,21 @@ def test_sentence():
     assert "P(fall) = 2.0e-06 per step" in ANSWER.sentence("fall", "step")
 
 
+def test_sentence_of_bounds():
+    bounds = replace(NOTHING, goal="bounds", bounds=(9e-7, 1.08e-6), n_crashes=40)
+    assert bounds.sentence() == (
+        "bounds if the risk order holds: 9.0e-07 ≤ P(crash) ≤ 1.1e-06 per lane change, a factor "
+        "of 1.2; 100 simulator runs"
+    )
+    one_sided = replace(bounds, bounds=(0.0, 1e-3))
+    assert one_sided.bounds_factor == math.inf
+    assert "factor" not in one_sided.sentence()
+    dropped = replace(bounds, bounds=(0.0, 1.0), alarms=(Alarm.ORDER_DROPPED,))
+    assert "no bounds: the risk order was dropped" in dropped.sentence()
+    failed = replace(bounds, bounds=(0.0, 1.0), n_failed=100, n_crashes=0)
+    assert "no bounds: all 100 simulations failed" in failed.sentence()
+
+
 @pytest.mark.parametrize(
     ("number", "words"),
     [

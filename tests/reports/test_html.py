@@ -65,6 +65,14 @@ def test_the_page_says_the_numbers_of_the_result(build):
         assert said in page.text
 
 
+def test_bounds_are_the_answer_where_they_were_asked_for(build, estimate):
+    e = estimate(goal="bounds", probability=math.nan, interval=(0.0, 1.0), history=())
+    page = Page(render_report(build(estimate=e)))
+    assert "bounds if the risk order holds: 1.2 × 10⁻⁶ ≤ P(crash) ≤ 8.1 × 10⁻⁶" in page.text
+    assert "upper over lower bound" in page.text
+    assert "gave an estimate yet" not in page.text
+
+
 def test_the_page_is_well_formed_and_accessible(build):
     page = Page(render_report(build()))
     assert len(page.ids) == len(set(page.ids))

@@ -5,6 +5,7 @@ import pytest
 
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm
+from crashrate.estimation.order_audit import OrderAudit
 from crashrate.reports.axes import units_of
 from crashrate.reports.evidence import evidence
 from crashrate.reports.likeliest import likeliest_crashes
@@ -96,6 +97,21 @@ def test_the_likeliest_crashes(build):
     lines = table.csv.splitlines()
     assert lines[0] == "v_lead,inv_range,inv_ttc"
     assert [[float(c) for c in line.split(",")] for line in lines[1:]] == record.x[runs].tolist()
+
+
+def test_bounds_and_their_audit_come_back_and_are_evidence(build, estimate):
+    audit = OrderAudit(20, 1, 0.25, 20, 0, 0.17, 3e-6, 0.95)
+    e = estimate(
+        goal="bounds", probability=math.nan, interval=(0.0, 1.0), history=(), order_audit=audit
+    )
+    back = estimate_of(json.loads(json.dumps(e.to_dict())))
+    assert (back.goal, back.order_audit) == ("bounds", audit)
+    facts = {f.name: f for f in evidence(build(estimate=e), e)}
+    assert facts["Probability"].value == "not estimated: the runs went into its bounds"
+    assert facts["95 % interval"].value == "none"
+    assert facts["Audit of the order"].value == "1 of 40 contradict it"
+    meaning = facts["Audit of the order"].meaning.replace("\u00a0", " ")
+    assert "at least 9.0 × 10⁻⁷ whatever the order" in meaning
 
 
 def test_evidence_without_an_order_claims_no_bounds(build, estimate):

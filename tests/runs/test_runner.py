@@ -239,6 +239,46 @@ def test_other_configuration_is_refused(go, uninterrupted, change, says):
     assert "--out" in str(raised.value)
 
 
+def test_other_goal_is_another_run(scenario, traffic, tmp_path):
+    run(scenario, traffic, tmp_path / "run", max_calls=30)
+    with pytest.raises(StoreError, match='goal: has "probability", asked for "bounds"'):
+        run(scenario, traffic, tmp_path / "run", max_calls=30, goal="bounds")
+
+
+def test_bounds_go_on_after_their_audit_when_the_budget_is_raised(scenario, traffic, tmp_path):
+    def go(max_calls):
+        return run(
+            scenario,
+            traffic,
+            tmp_path / "run",
+            goal="bounds",
+            max_calls=max_calls,
+            relative_half_width=1e-4,
+            batch_size=5,
+        )
+
+    first = go(40)
+    again = go(40)
+    assert again == first
+    assert first.order_audit is not None
+    more = go(60)
+    assert more.n_calls == 60
+    assert more.bounds_factor <= first.bounds_factor
+    result = status(tmp_path / "run")
+    assert result["goal"] == "bounds"
+    assert result["probability"] is None
+    assert result["order_audit"]["sentence"].startswith("audit of the order: ")
+    assert go(60) == more
+
+
+def test_goal_defaults_to_that_of_the_scenario(scenario, traffic, tmp_path):
+    text = scenario.text.replace("[target]", '[target]\ngoal = "bounds"')
+    bounds = Scenario.from_text(text, scenario.name)
+    assert bounds.target.goal == "bounds"
+    got = run(bounds, traffic, tmp_path / "run", max_calls=20, relative_half_width=1e-3)
+    assert got.goal == "bounds"
+
+
 def test_other_scenario_is_refused_section_by_section(scenario, traffic, uninterrupted):
     other = Scenario.from_text(scenario.text.replace("a + b", "a + 2 * b"), scenario.name)
     with pytest.raises(StoreError, match=r"\[derived\]: has .*asked for"):

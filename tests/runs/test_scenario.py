@@ -102,6 +102,7 @@ def test_derived_may_use_earlier_derived():
         ('"acc-aeb"', '"acc-aeb"\n[derived]\nb = "2 * c"\nc = "range"', "unknown name 'c'"),
         ('"acc-aeb"', '"acc-aeb"\n[derived]\n"a b" = "range"', "Python identifier"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nmax_calls = 2e3', "max_calls: expected an integer"),
+        ('"acc-aeb"', '"acc-aeb"\n[target]\ngoal = "bound"', "did you mean 'bounds'"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nmax_calls = 0', "max_calls: expected at least 1"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nmethod = "crud"', "'crud'; did you mean 'crude'"),
         ('"acc-aeb"', '"acc-aeb"\n[target]\nrelative_half_width = 10', "0.1 means ± 10 %"),

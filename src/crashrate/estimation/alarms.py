@@ -91,4 +91,6 @@ class StopReason(StrEnum):
     TARGET_MET = "the target was met"
     BUDGET_ENDED = "the budget of simulator runs ended"
     ALL_FAILED = "every simulation failed"
+    ORDER_DROPPED = "the risk order was dropped, and without one there are no bounds"
+    ALL_DECIDED = "the outcomes decide every situation that was drawn"
     DRAWS_ENDED = "the budget of draws from the proposal ended"

@@ -33,6 +33,12 @@ def _huang2017(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
     return huang2017(problem)
 
 
+def _bracket(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
+    from crashrate.estimation.bracket import bracket
+
+    return bracket(problem)
+
+
 def _crude(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
     from crashrate.estimation.crude_monte_carlo import crude_monte_carlo
 
@@ -51,6 +57,10 @@ METHODS: Mapping[str, Method] = {
     "huang2017": _huang2017,
     "crude": _crude,
     "cross-entropy": _cross_entropy,
+}
+GOALS: Mapping[str, Mapping[str, Method]] = {
+    "probability": METHODS,
+    "bounds": {"sequential": _bracket},
 }
 TELL_MEMBERS = ("sequential",)  # that say what each member of a traffic model makes of the runs
 
@@ -78,10 +88,17 @@ class Campaign:
     method : {"sequential", "huang2017", "crude", "cross-entropy"}
         The campaign of docs/method.md; for comparison, the procedure of the 2017 paper, random
         encounters, or importance sampling by cross-entropy.
+    goal : {"probability", "bounds"}
+        "probability" estimates it with an interval. "bounds" spends the runs on the bracket
+        P(inner) ≤ p ≤ P(outer) alone, needs a risk order, and gives bounds if that order holds:
+        no estimate and no interval, but an audit of the order. Its target is met when half the
+        bracket is at most `relative_half_width` times its middle.
     batch_size : int
         Simulator runs asked for at a time.
     earlier_targets : sequence of (float, int)
         Half-widths that a resumed campaign aimed at before, each until so many simulator runs.
+    earlier_budgets : sequence of (int, int)
+        Its budgets before, likewise.
 
     Raises
     ------
@@ -106,13 +123,12 @@ class Campaign:
         max_calls: int = 2000,
         confidence: float = 0.95,
         method: str = "sequential",
+        goal: str = "probability",
         batch_size: int = 10,
         earlier_targets: Sequence[tuple[float, int]] = (),
+        earlier_budgets: Sequence[tuple[int, int]] = (),
     ) -> None:
-        if method not in METHODS:
-            raise InvalidInputError(
-                f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
-            )
+        steps = _method(method, goal, ordered=risk is not None)
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units
@@ -127,9 +143,10 @@ class Campaign:
             batch_size=batch_size,
             seed=seed,
             earlier_targets=tuple((float(t), int(n)) for t, n in earlier_targets),
+            earlier_budgets=tuple((int(b), int(n)) for b, n in earlier_budgets),
         )
-        self._method = method
-        self._steps = METHODS[method](self._problem)
+        self._method, self._goal = method, goal
+        self._steps = steps(self._problem)
         self._pending: FloatArray | None = None
         self._snapshot = Snapshot()
         self._asked: list[FloatArray] = []
@@ -146,6 +163,11 @@ class Campaign:
     def method(self) -> str:
         """The name of the method."""
         return self._method
+
+    @property
+    def goal(self) -> str:
+        """What the simulator runs are spent on: "probability" or "bounds"."""
+        return self._goal
 
     @property
     def snapshot(self) -> Snapshot:
@@ -245,6 +267,8 @@ class Campaign:
             seed=self._problem.seed,
             history=tuple(self._history),
             traffic_range=s.traffic_range,
+            goal=self._goal,
+            order_audit=s.order_audit,
         )
 
     def crash_probability(self, x: npt.ArrayLike) -> FloatArray:
@@ -296,6 +320,34 @@ class Campaign:
     def _history_point(self) -> HistoryPoint:
         s = self._snapshot
         return HistoryPoint(self.n_calls, s.probability, *s.interval, s.phase)
+
+
+def _method(method: str, goal: str, *, ordered: bool) -> Method:
+    """The generator function that serves the goal by the method.
+
+    Raises
+    ------
+    InvalidInputError
+        If one of them is unknown, or the goal is out of the method's or the order's reach.
+    """
+    if method not in METHODS:
+        raise InvalidInputError(
+            f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
+        )
+    if goal not in GOALS:
+        raise InvalidInputError(
+            f"goal: expected a known one, got {goal!r}{nearest(goal, tuple(GOALS))}."
+        )
+    if method not in GOALS[goal]:
+        raise InvalidInputError(
+            f"goal: {goal!r} is served by the method {', '.join(GOALS[goal])}, got {method!r}."
+        )
+    if goal == "bounds" and not ordered:
+        raise InvalidInputError(
+            "goal: 'bounds' needs a risk order, for only through one do outcomes imply others; "
+            "declare it with risk={'v_lead': 'decreasing', …}, or ask for the goal 'probability'."
+        )
+    return GOALS[goal][method]
 
 
 def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:

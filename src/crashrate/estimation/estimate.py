@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.traffic_range import TrafficRange
 
 SCHEMA = "crashrate.result/1"
@@ -55,6 +56,11 @@ class Estimate:
         The estimate after every batch.
     traffic_range : TrafficRange or None
         The probability under each member of the traffic model; None where it has none.
+    goal : {"probability", "bounds"}
+        What the runs were spent on. For "bounds" there is no estimate (`probability` is NaN) and
+        no interval (0, 1): the answer is `bounds`, if the risk order holds.
+    order_audit : OrderAudit or None
+        How much of what the order implies can be wrong; at the end of a campaign for bounds.
     """
 
     probability: float
@@ -74,6 +80,13 @@ class Estimate:
     seed: int
     history: tuple[HistoryPoint, ...]
     traffic_range: TrafficRange | None = None
+    goal: str = "probability"
+    order_audit: OrderAudit | None = None
+
+    @property
+    def bounds_factor(self) -> float:
+        """P(outer) over P(inner); infinite while no crash bounds it from below."""
+        return self.bounds[1] / self.bounds[0] if self.bounds[0] > 0 else math.inf
 
     @property
     def half_width(self) -> float:
@@ -102,12 +115,32 @@ class Estimate:
 
     def sentence(self, event: str = "crash", per: str = "lane change") -> str:
         """The answer in one sentence."""
+        if self.goal == "bounds":
+            return f"{self._bracket(event, per)}; {self._runs()}"
         low, high = self.interval
         return (
             f"{self._head(event, per)}, {100 * self.confidence:g} % Monte Carlo interval "
             f"[{low:.1e}, {high:.1e}]{self._relative()}; "
-            f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}{self._crude()}"
+            f"{self._runs()}{self._crude()}"
         )
+
+    def _runs(self) -> str:
+        return f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}"
+
+    def _bracket(self, event: str, per: str) -> str:
+        low, high = self.bounds
+        if self.bounds == (0.0, 1.0):
+            return f"P({event}) has no bounds: {self._why_unbounded()}"
+        factor = f", a factor of {self.bounds_factor:.3g}" if low > 0 else ""
+        bracket = f"{low:.1e} ≤ P({event}) ≤ {high:.1e} per {per}"
+        return f"bounds if the risk order holds: {bracket}{factor}"
+
+    def _why_unbounded(self) -> str:
+        if 0 < self.n_calls == self.n_failed:
+            return f"all {self.n_calls} simulations failed"
+        if Alarm.ORDER_DROPPED in self.alarms:
+            return "the risk order was dropped"
+        return "no outcome implies any other yet"
 
     def _head(self, event: str, per: str) -> str:
         if self.probability > 0:
@@ -138,6 +171,8 @@ class Estimate:
             "alarms": [{"name": a.name, "message": a.value} for a in self.alarms],
             "stop_reason": self.stop_reason.value,
             "traffic_range": self.traffic_range and self.traffic_range.to_dict(),
+            "bounds_factor": self.bounds_factor,
+            "order_audit": self.order_audit and self.order_audit.to_dict(self.bounds),
         }
         return {key: json_ready(value) for key, value in record.items()}
 

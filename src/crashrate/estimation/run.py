@@ -21,6 +21,7 @@ def estimate(
     max_calls: int = 2000,
     confidence: float = 0.95,
     method: str = "sequential",
+    goal: str = "probability",
     batch_size: int = 10,
     seed: int = 0,
     on_batch: Callable[[Campaign], None] | None = None,
@@ -32,7 +33,7 @@ def estimate(
     simulate : callable
         Takes situations of shape (n, d) in the traffic model's variables and returns n outcomes:
         True or 1 a crash, False or 0 safe, NaN a failed simulation.
-    traffic, risk, relative_half_width, max_calls, confidence, method, batch_size, seed
+    traffic, risk, relative_half_width, max_calls, confidence, method, goal, batch_size, seed
         As of `Campaign`.
     on_batch : callable, optional
         Called with the campaign after every batch, for progress.
@@ -58,6 +59,7 @@ def estimate(
         max_calls=max_calls,
         confidence=confidence,
         method=method,
+        goal=goal,
         batch_size=batch_size,
     )
     while not campaign.done:

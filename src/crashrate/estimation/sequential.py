@@ -20,7 +20,7 @@ from crashrate.estimation.direction import LEARNING_ROUNDS, MAX_ROUNDS, Members,
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import N_RANKED, Explored, explore
-from crashrate.estimation.kernels import Model
+from crashrate.estimation.kernels import DEEP, Model
 from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -52,8 +52,9 @@ ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
 # it, at least. It is false where they contradict it by more than a ripple at the crash set's edge
 # (in the surrogate's standardised coordinates). Else danger may grow as declared, but where the
 # runs are outcomes do not imply one another: trusting them there lost a quarter of a probability.
-MAX_DISCARDED, MAX_DISCARDED_SHARE, DEEP = 8, 0.06, 0.25
+MAX_DISCARDED, MAX_DISCARDED_SHARE = 8, 0.06
 SCATTER_LIMIT = 3.0
+AUDITED_ROUNDS = 12
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 Learner = Generator[Query, FloatArray, Snapshot]
@@ -112,6 +113,11 @@ class State:
     def ordered(self) -> bool:
         """Whether a risk order is in use."""
         return self.labels.learned is not None
+
+    @property
+    def audited(self) -> bool:
+        """Whether enough runs were put aside for audits; some of all draws are audits as well."""
+        return self.k > AUDITED_ROUNDS
 
     @property
     def may_learn(self) -> bool:
@@ -240,7 +246,9 @@ def _round(
     unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
     learning = bool(unsure) and state.may_learn
     if learning:
-        rows = to_learn(wanted, problem.batch_size, rng, ordered=state.ordered)
+        rows = to_learn(
+            wanted, problem.batch_size, rng, ordered=state.ordered, audited=state.audited
+        )
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
         rounds = state.rounds
@@ -283,7 +291,8 @@ def _estimate(
     """Runs drawn with known probabilities, and a few that settle much through the order."""
     n = problem.batch_size
     wanted = towards(view, state.members)
-    others = aside(wanted, round(ASIDE_SHARE * n) if state.ordered else 0, rng)
+    n_aside = round(ASIDE_SHARE * n) if state.ordered else 0
+    others = aside(wanted, n_aside, rng, audited=state.audited)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n

@@ -22,6 +22,7 @@ from crashrate.variables import FloatArray
 
 if TYPE_CHECKING:
     from crashrate.estimation.belief import Belief
+    from crashrate.estimation.order_audit import OrderAudit
 
 NUMBERS = {
     "relative_half_width": Real,
@@ -57,6 +58,9 @@ class Problem:
     earlier_targets : tuple of (float, int)
         Half-widths that were aimed at before, each until so many simulator runs: what a campaign
         asks for next may depend on whether its target is met.
+    earlier_budgets : tuple of (int, int)
+        Budgets that were in force before, each until so many simulator runs: what a campaign for
+        bounds asks for last depends on where its budget ends.
     """
 
     traffic: TrafficModel
@@ -68,6 +72,7 @@ class Problem:
     seed: int = 0
     ensemble: TrafficModel | None = None
     earlier_targets: tuple[tuple[float, int], ...] = ()
+    earlier_budgets: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         for name, kind in NUMBERS.items():
@@ -88,6 +93,11 @@ class Problem:
         """The relative half-width that is aimed at after so many simulator runs."""
         earlier = (target for target, until in self.earlier_targets if n_calls < until)
         return next(earlier, self.relative_half_width)
+
+    def budget_at(self, n_calls: int) -> int:
+        """The budget that is in force after so many simulator runs."""
+        earlier = (budget for budget, until in self.earlier_budgets if n_calls < until)
+        return next(earlier, self.max_calls)
 
     def rng(self, k: int) -> np.random.Generator:
         """The generator of batch `k`, independent of all others and of what was drawn before."""
@@ -117,6 +127,9 @@ class Snapshot:
     alarms : tuple of Alarm
     traffic_range : TrafficRange or None
         The probability under each member of the traffic model.
+    order_audit : OrderAudit or None
+        What random runs said of the outcomes that the order implies: at the end of a campaign for
+        bounds.
     learned : MonotoneSet or None
         What the outcomes imply through the risk order.
     belief : Belief or None
@@ -136,6 +149,7 @@ class Snapshot:
     log_efficiency: float = float("nan")
     alarms: tuple[Alarm, ...] = ()
     traffic_range: TrafficRange | None = None
+    order_audit: "OrderAudit | None" = None
     learned: MonotoneSet | None = field(default=None, repr=False)
     belief: "Belief | None" = field(default=None, repr=False)
     phase: str = "explore"

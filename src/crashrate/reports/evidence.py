@@ -49,12 +49,12 @@ def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
     return (
         Fact(
             "Probability",
-            power_of_ten(e.probability) if e.probability > 0 else "not determined",
+            power_of_ten(e.probability) if e.probability > 0 else _undetermined(e),
             "Of one encounter, drawn from traffic.",
         ),
         Fact(
             f"{100 * e.confidence:g} % interval",
-            interval_text(e.interval) + _relative(e),
+            interval_text(e.interval) + _relative(e) if e.goal == "probability" else "none",
             "Holds the true probability in that share of campaigns, for this traffic model and "
             "this simulator.",
         ),
@@ -64,6 +64,32 @@ def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
             "Bounds",
             f"{low} ≤ p ≤ {high}" if has_bounds else "none",
             _bounds_meaning(e) if has_bounds else "Nothing is implied about other situations.",
+        ),
+        *_order_audit(e),
+    )
+
+
+def _undetermined(e: Estimate) -> str:
+    return (
+        "not estimated: the runs went into its bounds" if e.goal == "bounds" else "not determined"
+    )
+
+
+def _order_audit(e: Estimate) -> tuple[Fact, ...]:
+    audit = e.order_audit
+    if audit is None:
+        return ()
+    wrong, n = audit.n_crash_wrong + audit.n_safe_wrong, audit.n_crash + audit.n_safe
+    return (
+        Fact(
+            "Audit of the order",
+            f"{wrong} of {n} contradict it",
+            f"Random runs whose outcome the order implies. At {100 * audit.confidence:g} % "
+            f"P(inner) is wrong by at most {percent(audit.crash_share)}, so that the probability "
+            f"is at least {power_of_ten(audit.least(e.bounds))} whatever the order; and crashes "
+            f"next to the outer set that the order takes as safe carry at most "
+            f"{power_of_ten(audit.crash_mass_missed)}. Farther away the order was probed, and "
+            "nothing is bounded.",
         ),
     )
 

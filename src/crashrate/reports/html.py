@@ -105,10 +105,18 @@ def _sentence(record: RunRecord, estimate: Estimate) -> str:
 
 def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str], ...]:
     """The answer in three short lines; none where there is no estimate."""
-    p = estimate.probability
+    p, outcome = estimate.probability, record.scenario.outcome
+    if estimate.goal == "bounds" and estimate.bounds[0] > 0:
+        return (
+            (
+                f"{power_of_ten(estimate.bounds[0])} … {power_of_ten(estimate.bounds[1])}",
+                f"bounds of P({outcome.event}) per {outcome.per}, if the risk order holds",
+            ),
+            (f"× {estimate.bounds_factor:.3g}", "upper over lower bound"),
+            (f"{estimate.n_calls:,} runs", "of the simulator"),
+        )
     if not p > 0:
         return ()
-    outcome = record.scenario.outcome
     return (
         (power_of_ten(p), f"P({outcome.event}) per {outcome.per}: about one in {in_words(1 / p)}"),
         (
@@ -129,7 +137,6 @@ def _effort(estimate: Estimate) -> str:
 def _panels(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:
     from crashrate.reports.figures.answers import answers_panel
     from crashrate.reports.figures.bic import bic_panel
-    from crashrate.reports.figures.convergence import estimate_panel, half_width_panel
     from crashrate.reports.figures.data import data_panel
     from crashrate.reports.figures.tails import tail_panels
     from crashrate.reports.learned_panels import learned_panels
@@ -141,9 +148,17 @@ def _panels(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:
         bic_panel(traffic.provenance, len(traffic.weights)),
         *tail_panels(check),
         *learned_panels(record),
-        estimate_panel(estimate),
-        half_width_panel(estimate, _target(record)),
+        *_convergence(record, estimate),
     )
+
+
+def _convergence(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:
+    """The estimate over runs; nothing where the runs went into bounds."""
+    from crashrate.reports.figures.convergence import estimate_panel, half_width_panel
+
+    if estimate.goal == "bounds":
+        return ()
+    return estimate_panel(estimate), half_width_panel(estimate, _target(record))
 
 
 def _target(record: RunRecord) -> float:

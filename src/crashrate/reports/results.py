@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, HistoryPoint
+from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.reports.numbers import is_number, number
 
@@ -52,7 +54,15 @@ def _estimate(result: Mapping[str, Any]) -> Estimate:
         method=str(result["method"]),
         history=tuple(_point(p) for p in result.get("history", ())),
         traffic_range=_range(result.get("traffic_range")),
+        goal=str(result.get("goal", "probability")),
+        order_audit=_audit(result.get("order_audit")),
     )
+
+
+def _audit(found: Mapping[str, Any] | None) -> OrderAudit | None:
+    if found is None:
+        return None
+    return OrderAudit(**{field.name: found[field.name] for field in fields(OrderAudit)})
 
 
 def _range(found: Mapping[str, Any] | None) -> TrafficRange | None:

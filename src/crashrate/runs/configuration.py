@@ -5,7 +5,7 @@ import json
 from importlib.metadata import version
 from pathlib import Path
 from platform import python_version
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,9 +15,12 @@ from crashrate.estimation.strategy import Problem
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
+Number = TypeVar("Number", int, float)
+
 TRAFFIC = "traffic model"
 SOURCE = "simulator_source"
-TARGETS = "targets"
+TARGETS, BUDGETS = "targets", "budgets"
+GOAL = "goal"
 VOUCHED = "vouched_sources"  # edited since, their outcomes kept at the user's word
 
 
@@ -69,6 +72,7 @@ def configuration(
         "traffic": traffic.to_json(),
         "seed": str(problem.seed),
         "method": campaign.method,
+        GOAL: campaign.goal,
         "batch_size": str(problem.batch_size),
         "versions": json.dumps(versions()),
         "target": target_text(problem),
@@ -81,13 +85,20 @@ def target_text(problem: Problem) -> str:
     return f"± {100 * problem.relative_half_width:g} % in {problem.max_calls} simulator runs"
 
 
-def targets(stored: dict[str, str], n_stored: int, target: float) -> list[tuple[float, int]]:
-    """Every half-width that a run aimed at, and after how many simulator runs: `target` last."""
-    before = [(float(t), int(n)) for t, n in json.loads(stored.get(TARGETS, "[]"))]
+def targets(
+    stored: dict[str, str], n_stored: int, target: Number, key: str = TARGETS
+) -> list[tuple[Number, int]]:
+    """Every half-width that a run aimed at, and after how many simulator runs: `target` last.
+
+    Likewise every budget, stored under another `key`.
+    """
+    kind = type(target)
+    before = [(kind(t), int(n)) for t, n in json.loads(stored.get(key, "[]"))]
     if before and before[-1][0] == target:
         return before
     kept = [(t, n) for t, n in before if n < n_stored]
-    return [*kept, (target, n_stored if kept else 0)]
+    kept.append((target, n_stored if kept else 0))
+    return kept
 
 
 def require_same_run(directory: Path, stored: dict[str, str], asked: dict[str, str]) -> None:
@@ -177,6 +188,7 @@ def _identity(config: dict[str, str]) -> dict[str, Any]:
         scenario = Scenario.from_text(config["scenario"], config["scenario_name"])
         traffic = json.loads(config["traffic"])
         plain = {key: config[key] for key in ("seed", "method", "batch_size")}
+        plain[GOAL] = config.get(GOAL, "probability")  # older runs had no other
     except (KeyError, ValueError, ScenarioError) as error:
         raise StoreError(
             f"run folder: expected a configuration written by crashrate, got: {error}; restore "

@@ -24,9 +24,11 @@ from crashrate.recordings.check import Check
 from crashrate.recordings.comparison import Comparison
 from crashrate.runs.checking import REPLAY_CALLS, check_recordings, require_severity
 from crashrate.runs.configuration import (
+    BUDGETS,
     SOURCE,
     TARGETS,
     VOUCHED,
+    Number,
     configuration,
     require_budget,
     require_same_run,
@@ -61,6 +63,7 @@ def run(
     method: str | None = None,
     relative_half_width: float | None = None,
     max_calls: int | None = None,
+    goal: str | None = None,
     batch_size: int = Problem.batch_size,
     same_vehicle: bool = False,
     events: EventTable | None = None,
@@ -84,6 +87,8 @@ def run(
         As of `Campaign`.
     method, relative_half_width, max_calls : optional
         Method, target and budget; the scenario's where not given.
+    goal : optional
+        As of `Campaign`; the scenario's where not given. Another one is another run.
     same_vehicle : bool
         Whether the stored outcomes count although the simulator's source was edited since.
     events : EventTable, optional
@@ -115,22 +120,27 @@ def run(
     if events is not None:
         require_severity(scenario, events)
     half_width = _given(relative_half_width, target.relative_half_width)
-    aims = _targets(directory, half_width)
+    aims = _targets(directory, float(half_width), TARGETS)
+    budget = _given(max_calls, target.max_calls)
+    budgets = _targets(directory, budget, BUDGETS)
     campaign = Campaign(
         traffic,
         risk=scenario.risk_mapping(),
         seed=seed,
         relative_half_width=half_width,
-        max_calls=_given(max_calls, target.max_calls),
+        max_calls=budget,
         confidence=target.confidence,
         method=_given(method, target.method),
+        goal=goal or target.goal,
         batch_size=batch_size,
         earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
+        earlier_budgets=[(b, n) for (b, _), (_, n) in pairwise(budgets)],
     )
     simulate = scenario.simulator()
     config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
     with _store(directory, config, campaign.problem, same_vehicle=same_vehicle) as store:
         store.set_config(TARGETS, json.dumps(aims))
+        store.set_config(BUDGETS, json.dumps(budgets))
         sitting = _Sitting(
             directory,
             scenario,
@@ -174,12 +184,12 @@ def n_stored(directory: str | Path) -> int:
         return store.n_runs()
 
 
-def _targets(directory: Path, target: float) -> list[tuple[float, int]]:
-    """What the run in `directory` aimed at so far, `target` last."""
+def _targets(directory: Path, target: Number, key: str) -> list[tuple[Number, int]]:
+    """What the run in `directory` aimed at so far, or its budgets, `target` last."""
     if not RunStore.exists(directory):
-        return targets({}, 0, target)
+        return targets({}, 0, target, key)
     with RunStore.open(directory) as store:
-        return targets(store.config(), store.n_runs(), target)
+        return targets(store.config(), store.n_runs(), target, key)
 
 
 def _store(

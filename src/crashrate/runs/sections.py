@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from crashrate.errors import InvalidInputError, ScenarioError
-from crashrate.estimation.campaign import METHODS
+from crashrate.estimation.campaign import GOALS, METHODS
 from crashrate.estimation.strategy import Problem
 from crashrate.expressions import Expression
 from crashrate.recordings.severity import FACTOR, LEVELS, Severity
@@ -27,12 +27,13 @@ CLOSING = ("inv_ttc", "closing_speed")
 
 @dataclass(frozen=True)
 class Target:
-    """How tight an interval is wanted, how many simulator runs it may cost, and by which method."""
+    """What is wanted, how tight, how many simulator runs it may cost, and by which method."""
 
     relative_half_width: float = Problem.relative_half_width
     max_calls: int = Problem.max_calls
     confidence: float = Problem.confidence
     method: str = "sequential"
+    goal: str = "probability"
 
 
 @dataclass(frozen=True)
@@ -174,17 +175,22 @@ def read_simulator(section: Table) -> SimulatorChoice:
 
 
 def read_target(section: Table) -> Target:
-    """The target, the budget and the method."""
-    section.only(("relative_half_width", "max_calls", "confidence", "method"))
+    """The target, the budget, the method and the goal."""
+    section.only(("relative_half_width", "max_calls", "confidence", "method", "goal"))
     target = Target(
         section.number("relative_half_width", Target.relative_half_width),
         section.integer("max_calls", Target.max_calls),
         section.number("confidence", Target.confidence),
         section.text("method", Target.method),
+        section.text("goal", Target.goal),
     )
     if target.method not in METHODS:
         raise section.error(
             f"unknown method {target.method!r}{nearest(target.method, tuple(METHODS))}"
+        )
+    if target.goal not in GOALS:
+        raise section.error(
+            f"goal: unknown goal {target.goal!r}{nearest(target.goal, tuple(GOALS))}"
         )
     checks = (
         (0 < target.relative_half_width <= 1, "relative_half_width", HALF_WIDTH),
