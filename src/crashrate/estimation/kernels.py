@@ -58,7 +58,6 @@ class Model:
     ) -> tuple[Surrogate, Self]:
         """The surrogate of these outcomes, by the kernel of the best leave-one-out score.
 
-
         `ordinary` (n, m) counts as safe; `directed`: danger grows along the coordinates.
         """
         known = labels.known
@@ -83,7 +82,7 @@ class Model:
         return fits[best], replace(self, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
 
     def _candidates(self, labels: Labels) -> tuple[Kernel, ...]:
-        """Sharp kernels; soft ones, which learn slowly, where outcomes contradict an order deeply."""
+        """Sharp kernels, and soft ones, which learn slowly, where outcomes deny an order deeply."""
         if labels.learned is None:
             return KERNELS if labels.order is None else KERNELS + SOFT
         deepest = labels.contradiction_gaps(self.standardise.scale).max(initial=0.0)
