@@ -83,8 +83,8 @@ def _subset(process: GaussianProcessRegressor, d: int, n: int) -> Rows:
         ot.PythonFunction(d, 1, func_sample=mean), ot.RandomVector(ot.Normal(d))
     )
     algorithm = ot.SubsetSampling(ot.ThresholdEvent(vector, ot.LessOrEqual(), 0.0))
-    algorithm.setBlockSize(n)
-    algorithm.setMaximumOuterSampling(1)
+    algorithm.setBlockSize(n // 10)  # as many as a level keeps: chains of ten steps
+    algorithm.setMaximumOuterSampling(10)
     algorithm.setMinimumProbability(1e-10)
     try:
         algorithm.run()
@@ -99,7 +99,7 @@ def _answer(process: GaussianProcessRegressor, d: int, seed: int, settings: Sett
     """From the most cautious to the most daring reading of the process, and its sampling error.
 
     Importance sampling on the process alone, from normals fitted to the crashes of a last subset
-    simulation: OpenTURNS' estimate of it is right to a factor of two only.
+    simulation, whose own estimate would add its scatter.
     """
     samples = _subset(process, d, settings["last"])
     crashes = samples[process.predict(samples) <= 0]

@@ -19,14 +19,14 @@ from crashrate.traffic.model import TrafficModel
 
 
 def standard_normal(d):
-    names = tuple("abcdef"[:d])
+    names = tuple("abcdefghij"[:d])
     return TrafficModel(
         [1.0], np.zeros((1, d)), np.eye(d)[None], [-np.inf] * d, [np.inf] * d, names
     )
 
 
 def increasing(d):
-    return dict.fromkeys("abcdef"[:d], "increasing")
+    return dict.fromkeys("abcdefghij"[:d], "increasing")
 
 
 @dataclass(frozen=True)

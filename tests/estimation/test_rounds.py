@@ -6,7 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crashrate.estimation.rounds import Round, combine, log_efficiency, measure, predicted_variance
+from crashrate.estimation.rounds import (
+    MIN_INFLATION,
+    Round,
+    combine,
+    log_efficiency,
+    measure,
+    predicted_variance,
+)
 from crashrate.estimation.selection import to_estimate
 
 TIMES = 3000
@@ -116,6 +123,22 @@ def test_intervals_cover_also_where_predictions_are_over_confident(over_confiden
     found = intervals(over_confidence)
     covered = np.mean([c.lower <= 0.1 <= c.upper for c in found])
     assert least - 0.01 <= covered <= 0.99
+
+
+def test_predictions_that_are_too_large_narrow_the_interval_within_a_limit(check_coverage):
+    found = intervals(0.5, times=400)
+    check_coverage([(c.lower, c.upper) for c in found], 0.1)
+    wide = [c.half_width for c in intervals(1.0, times=400)]
+    narrow = np.mean([c.half_width for c in found]) / np.mean(wide)
+    assert math.sqrt(MIN_INFLATION) * 0.8 < narrow < 0.95
+
+
+def test_draws_as_large_as_predicted_keep_the_interval():
+    calm = [0.5 + e / 1000 for e in (-0.1, 0.1, -0.1, 0.1)]
+    predicted = combine([round_of(e, 0.01, squares=0.01) for e in calm], 0.95)
+    smaller = combine([round_of(e, 0.01, squares=0.001) for e in calm], 0.95)
+    assert predicted.standard_error == pytest.approx(0.05)
+    assert smaller.standard_error == pytest.approx(0.05 * math.sqrt(MIN_INFLATION))
 
 
 def test_intervals_of_calibrated_rounds_pass_the_coverage_check(check_coverage):

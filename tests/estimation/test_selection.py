@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crashrate.estimation.selection import greedy, to_estimate, to_learn
+from crashrate.estimation.selection import aside, audit, greedy, to_estimate, to_learn
 
 
 @pytest.fixture
@@ -89,6 +89,30 @@ def test_greedy_finds_nothing_where_nothing_is_in_doubt(view):
 @pytest.mark.parametrize("ordered", [True, False])
 @pytest.mark.parametrize("n", [1, 2, 10])
 def test_learning_draws(view, n, ordered):
-    rows = to_learn(view, n, np.random.default_rng(9), ordered=ordered)
+    rows = to_learn(view, n, np.random.default_rng(9), ordered=ordered, audited=False)
     assert 1 <= len(rows) <= n
     assert np.array_equal(rows, np.unique(rows))
+
+
+def test_audits_are_drawn_as_traffic_draws_what_is_implied_to_crash(view):
+    rng = np.random.default_rng(10)
+    rows = np.concatenate([audit(view, 1, rng) for _ in range(3000)])
+    assert view.inner[rows].all()
+    weights = np.where(view.inner, view.weights, 0.0)
+    u = view.pool.u[:, 0]
+    mean = float(weights @ u / weights.sum())
+    assert u[rows].mean() == pytest.approx(mean, abs=4 * u[rows].std() / np.sqrt(len(rows)))
+    assert abs(u[view.inner].mean() - mean) > 8 * u[rows].std() / np.sqrt(len(rows))
+
+
+def test_nothing_implied_is_nothing_to_audit(view):
+    none = replace(view, inner=np.zeros(len(view.h), dtype=bool))
+    assert len(audit(none, 5, np.random.default_rng(11))) == 0
+    assert len(audit(view, 0, np.random.default_rng(11))) == 0
+
+
+@pytest.mark.parametrize(("audited", "least"), [(False, 1), (True, 0)])
+def test_what_is_put_aside_holds_audits_until_there_are_enough(view, audited, least):
+    rows = aside(view, 4, np.random.default_rng(12), audited=audited)
+    assert len(rows) <= 4
+    assert view.inner[rows].sum() == least

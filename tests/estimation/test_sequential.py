@@ -144,3 +144,53 @@ def test_one_wrong_outcome_is_no_confident_answer(cases, k, seed):
     )  # fmt: skip
     assert Alarm.ORDER_CONTRADICTED in got.alarms
     assert got.interval[0] < 1e-5 < got.interval[1]
+
+
+def test_ten_coordinates_do_not_hang(cases):
+    got = cases.half_plane(1e-4, 10).estimate(max_calls=200, relative_half_width=0.5)
+    assert got.interval[0] <= 1e-4 <= got.interval[1]
+    assert np.isfinite(got.probability)
+
+
+def test_a_random_outcome_is_estimated_by_its_mean(cases, check_coverage, check_mean):
+    noise, level = 0.5, norm.isf(0.01)
+    p = float(norm.sf(level / np.hypot(1, noise)))
+
+    def estimated(seed):
+        rng = np.random.default_rng(seed)
+
+        def crash(x):
+            return x.sum(axis=1) / np.sqrt(2) + noise * rng.standard_normal(len(x)) > level
+
+        case = cases.half_plane(0.01)
+        return estimate(
+            crash, case.traffic, risk=case.risk, seed=seed, relative_half_width=0.3, max_calls=400
+        )
+
+    got = [estimated(seed) for seed in range(4)]
+    check_coverage([e.interval for e in got], p)
+    check_mean([e.probability for e in got], p)
+
+
+def test_holes_in_the_crash_set_are_seen_and_counted(cases, check_coverage):
+    level, side = norm.isf(1e-3), 0.05
+
+    def crash(x):
+        cell = np.floor(x / side).astype(np.int64)
+        hole = (cell[:, 0] * 7 + cell[:, 1] * 13) % 5 == 0  # a fifth of all cells
+        return (x.sum(axis=1) / np.sqrt(2) >= level) & ~hole
+
+    case = cases.half_plane(1e-3)
+    rng = np.random.default_rng(0)
+    across = level + rng.exponential(1 / level, 400_000)
+    along = rng.standard_normal(len(across))
+    x = np.stack([across + along, across - along], axis=1) / np.sqrt(2)
+    weight = norm.pdf(across) / (level * np.exp(-level * (across - level)))
+    p = float((weight * crash(x)).mean())
+    assert p < 0.85e-3
+    got = [
+        estimate(crash, case.traffic, risk=case.risk, seed=seed, max_calls=400) for seed in range(4)
+    ]
+    check_coverage([e.interval for e in got], p)
+    doubts = {Alarm.ORDER_DROPPED, Alarm.ORDER_CONTRADICTED}
+    assert all(doubts & set(e.alarms) for e in got)

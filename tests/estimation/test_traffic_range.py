@@ -132,12 +132,13 @@ def test_members_far_below_the_others_count_as_spread():
     assert TrafficRange((1e-6, 0.0), (1e-6, 1e-6)).undetermined  # nothing is known
 
 
+@pytest.mark.parametrize("method", ["huang2017", "crude", "cross-entropy"])
 @pytest.mark.parametrize("scales", [None, ("log", "linear")])
-def test_methods_that_do_not_tell_members_apart_answer_for_the_best_fit(scales):
+def test_methods_that_do_not_tell_members_apart_answer_for_the_best_fit(scales, method):
     risk = {"a": "increasing", "b": "increasing"}
-    with pytest.warns(UserWarning, match="'huang2017' answers for the best fit alone: the 3 furth"):
-        campaign = Campaign(family(scales), risk=risk, method="huang2017")
-    alone = Campaign(member(SHIFTS[0], scales), risk=risk, method="huang2017")
+    with pytest.warns(UserWarning, match=f"'{method}' answers for the best fit alone: the 3 furth"):
+        campaign = Campaign(family(scales), risk=risk, method=method)
+    alone = Campaign(member(SHIFTS[0], scales), risk=risk, method=method)
     assert campaign.problem == alone.problem
     assert campaign.problem.ensemble is None
     assert campaign.ask() == pytest.approx(alone.ask())

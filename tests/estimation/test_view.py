@@ -141,6 +141,34 @@ def test_contradictions_are_as_deep_as_their_least_coordinate(cases):
     assert not agreeing.contradiction_gaps(np.ones(2)).size
 
 
+def test_a_hole_is_a_safe_outcome_above_a_crash(cases):
+    at = [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [0.02, 0.02], [-1.0, -1.0]]
+    labels = labelled(cases.half_plane(0.2), at, [1, 0, 1, 1, 0])
+    assert labels.exceptions(np.array([0.05, 0.05])) == (1, 2)
+    assert labels.exceptions(np.array([1.5, 1.5])) == (0, 1)
+    assert labels.without_order().exceptions(np.array([0.05, 0.05])) == (0, 0)
+    agreeing = labelled(cases.half_plane(0.2), at[:1] + at[2:], [1, 1, 1, 0])
+    assert agreeing.exceptions(np.array([0.05, 0.05])) == (0, 0)
+
+
+def test_one_crash_below_many_safe_outcomes_makes_no_holes(cases):
+    at = [[-5.0, -5.0], *([v, v] for v in (0.1, 0.2, 0.3, 0.4)), [3.0, 3.0]]
+    labels = labelled(cases.half_plane(0.2), at, [1, 0, 0, 0, 0, 1])
+    assert labels.exceptions(np.array([0.05, 0.05])) == (0, 0)
+
+
+def test_holes_leave_a_doubt_about_what_the_order_implies(cases):
+    case = cases.half_plane(0.2)
+    at = [[v, v] for v in (0.7, 1.0, 1.3, 1.6, 1.9, 2.2)] + [[-1.0, -1.0], [0.4, 0.4]]
+    whole = looked_at(case, labelled(case, at, [1] * 6 + [0, 0]))
+    holed = looked_at(case, labelled(case, at, [1, 1, 0, 1, 1, 1, 0, 0]))
+    far = (whole.pool.u > 1.5).all(axis=1)
+    assert far.any()
+    assert (whole.h[far] == 1).all()
+    assert holed.inner[far].any()
+    assert (holed.h[far & holed.inner] <= 1 - 1 / 5).all()
+
+
 def test_margin_asks_for_more_than_an_outcome_beyond_another(cases):
     labels = labelled(cases.half_plane(0.2), [[0.0, 0.0], [-1.0, -1.0]], [1, 0])
     u = np.array([[0.05, 2.0], [0.15, 0.15], [-1.05, -1.05], [-1.2, -1.2]])

@@ -20,6 +20,7 @@ IntArray = npt.NDArray[np.intp]
 
 MAX_SWEEPS = 25
 SWEEP_TOLERANCE = 0.02
+CONVERGED = 0.1  # largest relative change of a site's precision in the last sweep
 DAMPING = 0.7  # parallel updates oscillate undamped
 MIN_VARIANCE = 1e-10
 
@@ -128,6 +129,9 @@ class Surrogate:
     sites : Sites
     log_score : float
         Sum of the log leave-one-out probabilities of the labels: chooses among priors.
+    converged : bool
+        Whether the sites had settled. Labels that contradict each other under a sharp prior make
+        them oscillate: score and probabilities are then of little worth.
     root : ndarray, shape (n, n)
         Inverse Cholesky factor of I + S K S times S, in single precision (it enters a variance).
     coefficients : ndarray, shape (n,)
@@ -138,6 +142,7 @@ class Surrogate:
     u: FloatArray
     sites: Sites
     log_score: float
+    converged: bool
     root: np.ndarray
     coefficients: FloatArray
 
@@ -188,8 +193,10 @@ def fit_surrogate(
         sites = Sites(*(_damped(o, n) for o, n in ((sites.tau, new.tau), (sites.nu, new.nu))))
         if moved.max() < SWEEP_TOLERANCE:
             break
-    score = float(log_ndtr(z).sum())
-    return _predictor(u, prior, sites, covariance=covariance, mean=mean, score=score)
+    score, settled = float(log_ndtr(z).sum()), bool(moved.max() < CONVERGED)
+    return _predictor(
+        u, prior, sites, covariance=covariance, mean=mean, score=score, converged=settled
+    )
 
 
 def _damped(old: FloatArray, new: FloatArray) -> FloatArray:
@@ -244,10 +251,11 @@ def _predictor(
     covariance: FloatArray,
     mean: FloatArray,
     score: float,
+    converged: bool,
 ) -> Surrogate:
     s = np.sqrt(sites.tau)
     chol = _factor(covariance, sites.tau)
     pull = sites.nu - sites.tau * mean
     coefficients = pull - s * cho_solve((chol, True), s * (covariance @ pull), check_finite=False)
     root = solve_triangular(chol, np.diag(s), lower=True, check_finite=False)
-    return Surrogate(prior, u, sites, score, root.astype(np.float32), coefficients)
+    return Surrogate(prior, u, sites, score, converged, root.astype(np.float32), coefficients)

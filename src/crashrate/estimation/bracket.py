@@ -21,11 +21,10 @@ from crashrate.estimation.crude import crude
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import N_RANKED, Explored, explore
 from crashrate.estimation.gap import Gap, aim_at_gap, candidates, closest, look
-from crashrate.estimation.kernels import Model
+from crashrate.estimation.kernels import DEEP, Model
 from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.sequential import (
-    DEEP,
     MAX_DISCARDED,
     MAX_DISCARDED_SHARE,
     MAX_ORDINARY,

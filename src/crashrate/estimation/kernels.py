@@ -17,6 +17,10 @@ KERNELS = tuple(
     for variance in (1e3, 1e4)
 )
 LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
+# … and soft ones, where equal situations may end differently: an outcome contradicts another by
+# more than a ripple at the edge could, in standardised coordinates
+DEEP = 0.25
+SOFT = tuple((0.1, 3.0, variance) for variance in (10.0, 100.0))
 Kernel = tuple[float, float, float]
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
 # The surrogate's cost grows with the cube of its labels. Beyond so many it keeps the new ones and
@@ -64,7 +68,7 @@ class Model:
         warm, d = dict(self.warm), labels.u.shape[1]
         sites = {
             kernel: warm.get(kernel, Sites.unknown(0)).grown(len(u))
-            for kernel in (KERNELS if choose else (self.best,))
+            for kernel in (self._candidates(labels) if choose else (self.best,))
         }
         fits = {
             kernel: fit_surrogate(
@@ -72,10 +76,17 @@ class Model:
             )
             for kernel, site in sites.items()
         }
-        best = max(fits, key=lambda kernel: fits[kernel].log_score)
+        best = max(fits, key=lambda kernel: _merit(fits[kernel], soft=SOFT[0] in fits))
         warm |= {kernel: sites[kernel].put(rows, fit.sites) for kernel, fit in fits.items()}
         n_chosen = labels.n if choose else self.n_chosen
         return fits[best], replace(self, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
+
+    def _candidates(self, labels: Labels) -> tuple[Kernel, ...]:
+        """Sharp kernels, and soft ones, which learn slowly, where outcomes deny an order deeply."""
+        if labels.learned is None:
+            return KERNELS if labels.order is None else KERNELS + SOFT
+        deepest = labels.contradiction_gaps(self.standardise.scale).max(initial=0.0)
+        return KERNELS + SOFT if deepest > DEEP else KERNELS
 
     def _telling(self, n: int) -> IntArray:
         """Which of `n` labels the surrogate is fitted to: the new ones and the sharpest old sites.
@@ -89,6 +100,15 @@ class Model:
         # a label without a site was never fitted: as good as new
         by_precision = np.argsort(-np.nan_to_num(warm.tau, nan=np.inf), kind="stable")
         return np.sort(np.concatenate([by_precision[:n_old], np.arange(len(warm.tau), n)]))
+
+
+def _merit(fit: Surrogate, *, soft: bool) -> tuple[bool, float]:
+    """What the kernels are compared by.
+
+    Where outcomes contradict an order deeply, inference that did not converge is no candidate: its
+    score is what it happened to oscillate through. (At ripples it oscillates too, and is of use.)
+    """
+    return fit.converged or not soft, fit.log_score
 
 
 def _prior(kernel: Kernel, d: int, *, directed: bool) -> Prior:

@@ -40,9 +40,9 @@ def greedy(view: View, n: int, rng: np.random.Generator) -> IntArray:
     return np.array(chosen, dtype=int)
 
 
-def aside(view: View, n: int, rng: np.random.Generator) -> IntArray:
-    """`n` draws or fewer that no estimate is made of: some audits, the others greedy."""
-    audits = audit(view, round(AUDIT_SHARE * n), rng)
+def aside(view: View, n: int, rng: np.random.Generator, *, audited: bool) -> IntArray:
+    """`n` draws or fewer that no estimate is made of: audits unless it is `audited`, and greedy."""
+    audits = audit(view, 0 if audited else round(AUDIT_SHARE * n), rng)
     return np.unique(np.concatenate([audits, greedy(view, n - len(audits), rng)]))
 
 
@@ -57,9 +57,11 @@ def audit(view: View, n: int, rng: np.random.Generator) -> IntArray:
     return np.unique(rng.choice(len(implied), n, p=normalised(implied)))
 
 
-def to_learn(view: View, n: int, rng: np.random.Generator, *, ordered: bool) -> IntArray:
+def to_learn(
+    view: View, n: int, rng: np.random.Generator, *, ordered: bool, audited: bool
+) -> IntArray:
     """`n` draws that teach most about the crash set: half by dominance, half by doubt."""
-    first = aside(view, n // 2 if ordered else 0, rng)
+    first = aside(view, n // 2 if ordered else 0, rng, audited=audited)
     rest = rng.choice(len(view.h), n - len(first), p=view.learning)
     return np.unique(np.concatenate([first, rest]).astype(int))
 

@@ -6,7 +6,7 @@ estimate, after. docs/method.md has the reasons.
 """
 
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,11 +16,11 @@ from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.crude import crude
-from crashrate.estimation.direction import LEARNING_ROUNDS, MAX_ROUNDS, Members, towards, unclear
+from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import N_RANKED, Explored, explore
-from crashrate.estimation.kernels import Model
+from crashrate.estimation.kernels import DEEP, Model
 from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -32,6 +32,7 @@ from crashrate.estimation.rounds import (
     not_refuted,
 )
 from crashrate.estimation.selection import aside, to_estimate, to_learn
+from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
 from crashrate.estimation.view import Standardiser, View, see
@@ -43,83 +44,16 @@ BEGINNING, ENCOUNTERS, SURVEYS, MORE = 2_000_000, 2_000_001, 2_000_002, 3_000_00
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
-# Beyond so many runs a wide interval is better than none. (Not a share of the budget: a run whose
-# budget grows must go on as it was.)
-LEARNING_RUNS = 300
-RELEARNING_RUNS = 100  # after an order was dropped
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
 # The order is dropped when so many outcomes would have to be discarded for the others to agree with
 # it, at least. It is false where they contradict it by more than a ripple at the crash set's edge
 # (in the surrogate's standardised coordinates). Else danger may grow as declared, but where the
 # runs are outcomes do not imply one another: trusting them there lost a quarter of a probability.
-MAX_DISCARDED, MAX_DISCARDED_SHARE, DEEP = 8, 0.06, 0.25
+MAX_DISCARDED, MAX_DISCARDED_SHARE = 8, 0.06
 SCATTER_LIMIT = 3.0
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 Learner = Generator[Query, FloatArray, Snapshot]
-
-
-@dataclass(frozen=True)
-class State:
-    """Everything a round starts from.
-
-    Parameters
-    ----------
-    labels : Labels
-    ordinary : ndarray, shape (n, m)
-        Risk coordinates of traffic's draws that the surrogate takes as safe.
-    proposal : Density
-        Of the next pool.
-    model : Model
-    rounds : tuple of Round
-        Those that estimate.
-    encounters : Encounters or None
-        Ordinary traffic, simulated where no order is in use.
-    directed : bool
-        Whether danger grows along the coordinates, though outcomes may not imply one another.
-    dropped_at : int or None
-        Simulator runs when the order was dropped.
-    k : int
-        Number of the round.
-    learning : bool
-        Whether the last round was spent on learning.
-    members : tuple of int
-        Of the traffic model: those that the next round is directed at, if any.
-    n_directed : int
-        Rounds so far that were directed at members.
-    n_surveys : int
-        Looks so far, once the target was met, at places far from all runs.
-    surveyed : bool
-        Whether the last of them met no surprise, or they are at an end.
-    """
-
-    labels: Labels
-    ordinary: FloatArray
-    proposal: Density
-    model: Model
-    rounds: tuple[Round, ...] = ()
-    encounters: Encounters | None = None
-    directed: bool = True
-    dropped_at: int | None = None
-    k: int = 1
-    learning: bool = True
-    members: Members = ()
-    n_directed: int = 0
-    n_surveys: int = 0
-    surveyed: bool = False
-
-    @property
-    def ordered(self) -> bool:
-        """Whether a risk order is in use."""
-        return self.labels.learned is not None
-
-    @property
-    def may_learn(self) -> bool:
-        """Whether runs may still go into learning alone."""
-        if self.members:
-            return self.n_directed <= LEARNING_ROUNDS
-        without_order = 0 if self.dropped_at is None else self.dropped_at + RELEARNING_RUNS
-        return self.labels.n < max(LEARNING_RUNS, without_order)
 
 
 def sequential(problem: Problem) -> Learner:
@@ -240,7 +174,9 @@ def _round(
     unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
     learning = bool(unsure) and state.may_learn
     if learning:
-        rows = to_learn(wanted, problem.batch_size, rng, ordered=state.ordered)
+        rows = to_learn(
+            wanted, problem.batch_size, rng, ordered=state.ordered, audited=state.audited
+        )
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
         rounds = state.rounds
@@ -283,7 +219,8 @@ def _estimate(
     """Runs drawn with known probabilities, and a few that settle much through the order."""
     n = problem.batch_size
     wanted = towards(view, state.members)
-    others = aside(wanted, round(ASIDE_SHARE * n) if state.ordered else 0, rng)
+    n_aside = round(ASIDE_SHARE * n) if state.ordered else 0
+    others = aside(wanted, n_aside, rng, audited=state.audited)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n

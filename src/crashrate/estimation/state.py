@@ -1,0 +1,85 @@
+"""What the default method knows between two rounds."""
+
+from dataclasses import dataclass
+
+from crashrate.estimation.direction import LEARNING_ROUNDS, Members
+from crashrate.estimation.encounters import Encounters
+from crashrate.estimation.kernels import Model
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.rounds import Round
+from crashrate.sampling.pool import Density
+from crashrate.variables import FloatArray
+
+# Beyond so many runs a wide interval is better than none. (Not a share of the budget: a run whose
+# budget grows must go on as it was.)
+LEARNING_RUNS = 300
+RELEARNING_RUNS = 100  # after an order was dropped
+AUDITED_ROUNDS = 12
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything a round starts from.
+
+    Parameters
+    ----------
+    labels : Labels
+    ordinary : ndarray, shape (n, m)
+        Risk coordinates of traffic's draws that the surrogate takes as safe.
+    proposal : Density
+        Of the next pool.
+    model : Model
+    rounds : tuple of Round
+        Those that estimate.
+    encounters : Encounters or None
+        Ordinary traffic, simulated where no order is in use.
+    directed : bool
+        Whether danger grows along the coordinates, though outcomes may not imply one another.
+    dropped_at : int or None
+        Simulator runs when the order was dropped.
+    k : int
+        Number of the round.
+    learning : bool
+        Whether the last round was spent on learning.
+    members : tuple of int
+        Of the traffic model: those that the next round is directed at, if any.
+    n_directed : int
+        Rounds so far that were directed at members.
+    n_surveys : int
+        Looks so far, once the target was met, at places far from all runs.
+    surveyed : bool
+        Whether the last of them met no surprise, or they are at an end.
+    """
+
+    labels: Labels
+    ordinary: FloatArray
+    proposal: Density
+    model: Model
+    rounds: tuple[Round, ...] = ()
+    encounters: Encounters | None = None
+    directed: bool = True
+    dropped_at: int | None = None
+    k: int = 1
+    learning: bool = True
+    members: Members = ()
+    n_directed: int = 0
+    n_surveys: int = 0
+    surveyed: bool = False
+
+    @property
+    def ordered(self) -> bool:
+        """Whether a risk order is in use."""
+        return self.labels.learned is not None
+
+    @property
+    def audited(self) -> bool:
+        """Whether enough runs were put aside for audits; some of all draws are audits as well."""
+        return self.k > AUDITED_ROUNDS
+
+    @property
+    def may_learn(self) -> bool:
+        """Whether runs may still go into learning alone."""
+        if self.members:
+            return self.n_directed <= LEARNING_ROUNDS
+        without_order = 0 if self.dropped_at is None else self.dropped_at + RELEARNING_RUNS
+        return self.labels.n < max(LEARNING_RUNS, without_order)

@@ -1,0 +1,95 @@
+"""The surrogate's kernels and the labels it is fitted to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from crashrate.crash_set.order import RiskOrder
+from crashrate.crash_set.surrogate import Prior, fit_surrogate
+from crashrate.estimation import kernels
+from crashrate.estimation.kernels import KERNELS, SOFT, Model
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.strategy import Problem
+from crashrate.estimation.view import FAR, Standardiser
+
+NONE = np.empty((0, 2))
+AS_IS = Standardiser(np.zeros(2), np.ones(2))
+ANY = fit_surrogate(
+    np.zeros((1, 2)), np.ones(1, bool), Prior(0.5, 1.0, 1.0, linear=1.0, slope=1.0, constant=0.0)
+)
+
+
+def labelled(cases, n, crash, *, ordered=True, seed=0):
+    case = cases.half_plane(0.2)
+    order = RiskOrder.from_mapping(case.risk, case.traffic.names) if ordered else None
+    x = np.random.default_rng(seed).standard_normal((n, 2))
+    return Labels.empty(Problem(traffic=case.traffic, order=order)).add(x, crash(x))
+
+
+def smooth(x):
+    return (x[:, 0] + 0.5 * x[:, 1] ** 2 > 0.5).astype(float)
+
+
+def test_many_labels_are_thinned_to_the_telling_ones(cases, monkeypatch):
+    monkeypatch.setattr(kernels, "MAX_LABELS", 150)
+    monkeypatch.setattr(kernels, "MIN_OLD", 100)
+    first = labelled(cases, 150, smooth)
+    _, model = Model(AS_IS).fit(first, NONE, directed=True)
+    more = first.add(x := np.random.default_rng(1).standard_normal((40, 2)), smooth(x))
+    thinned, after = model.fit(more, NONE, directed=True)
+    assert len(thinned.u) == 150
+    assert {tuple(u) for u in x} <= {tuple(u) for u in thinned.u}
+    monkeypatch.setattr(kernels, "MAX_LABELS", 1000)
+    whole, _ = model.fit(more, NONE, directed=True)
+    at = np.random.default_rng(2).standard_normal((500, 2))
+    change = np.abs(thinned.predict(at).probability - whole.predict(at).probability)
+    assert change.mean() < 0.01
+    # as many labels taken at random are worse, and the sites of all labels are kept
+    assert len(dict(after.warm)[after.best].tau) == 190
+    lottery = labelled(cases, 150, smooth, seed=7)
+    by_lot, _ = Model(AS_IS).fit(lottery, NONE, directed=True)
+    assert np.abs(by_lot.predict(at).probability - whole.predict(at).probability).mean() > 0.01
+
+
+def test_soft_kernels_join_where_outcomes_contradict_an_order_deeply(cases, monkeypatch):
+    tried = []
+    fit = kernels.fit_surrogate
+
+    def spy(u, crash, prior, warm):
+        tried.append(prior.variance)
+        return fit(u, crash, prior, warm)
+
+    monkeypatch.setattr(kernels, "fit_surrogate", spy)
+    rng = np.random.default_rng(3)
+
+    def luck(x):
+        return (x.sum(axis=1) + rng.standard_normal(len(x)) > 1).astype(float)
+
+    def monotone(x):
+        return (x.sum(axis=1) > 1).astype(float)
+
+    Model(AS_IS).fit(labelled(cases, 60, monotone), NONE, directed=True)
+    assert len(tried) == len(KERNELS)
+    tried.clear()
+    fitted, _ = Model(AS_IS).fit(labelled(cases, 60, luck), NONE, directed=True)
+    assert len(tried) == len(KERNELS) + len(SOFT)
+    assert fitted.converged
+
+
+@pytest.mark.parametrize("bump", [0.1, 3.0])
+def test_far_from_every_run_is_safe_without_an_order_whatever_the_kernel(bump):
+    prior = kernels._prior((bump, 1.0, 1e4), 2, directed=False)
+    far = np.array([[2.0, 2.0]])
+    deviations = prior.mean(far) / np.sqrt(prior.variances(far))
+    assert ndtr(deviations[0]) < FAR
+
+
+def test_inference_that_oscillates_is_no_candidate_where_soft_kernels_are():
+    def fit(score, *, converged):
+        return replace(ANY, log_score=score, converged=converged)
+
+    better, worse = fit(-10.0, converged=False), fit(-20.0, converged=True)
+    assert kernels._merit(better, soft=True) < kernels._merit(worse, soft=True)
+    assert kernels._merit(better, soft=False) > kernels._merit(worse, soft=False)
