@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from crashrate.crash_set.order import RiskOrder
 from crashrate.crash_set.surrogate import Prior, fit_surrogate
-from crashrate.estimation import kernels
+from crashrate.estimation import kernels, telling
 from crashrate.estimation.kernels import KERNELS, SOFT, Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
@@ -33,15 +33,15 @@ def smooth(x):
 
 
 def test_many_labels_are_thinned_to_the_telling_ones(cases, monkeypatch):
-    monkeypatch.setattr(kernels, "MAX_LABELS", 150)
-    monkeypatch.setattr(kernels, "MIN_OLD", 100)
+    monkeypatch.setattr(telling, "MAX_LABELS", 150)
+    monkeypatch.setattr(telling, "MIN_OLD", 100)
     first = labelled(cases, 150, smooth)
     _, model = Model(AS_IS).fit(first, NONE, directed=True)
     more = first.add(x := np.random.default_rng(1).standard_normal((40, 2)), smooth(x))
     thinned, after = model.fit(more, NONE, directed=True)
     assert len(thinned.u) == 150
     assert {tuple(u) for u in x} <= {tuple(u) for u in thinned.u}
-    monkeypatch.setattr(kernels, "MAX_LABELS", 1000)
+    monkeypatch.setattr(telling, "MAX_LABELS", 1000)
     whole, _ = model.fit(more, NONE, directed=True)
     at = np.random.default_rng(2).standard_normal((500, 2))
     change = np.abs(thinned.predict(at).probability - whole.predict(at).probability)
@@ -51,6 +51,26 @@ def test_many_labels_are_thinned_to_the_telling_ones(cases, monkeypatch):
     lottery = labelled(cases, 150, smooth, seed=7)
     by_lot, _ = Model(AS_IS).fit(lottery, NONE, directed=True)
     assert np.abs(by_lot.predict(at).probability - whole.predict(at).probability).mean() > 0.01
+
+
+def test_labels_that_come_all_at_once_are_thinned_too(cases, monkeypatch):
+    monkeypatch.setattr(telling, "MAX_LABELS", 150)
+    monkeypatch.setattr(telling, "MIN_OLD", 100)
+    many = labelled(cases, 1200, smooth)
+    thinned, model = Model(AS_IS).fit(many, NONE, directed=True)
+    assert len(thinned.u) == 150
+    assert not np.isnan(dict(model.warm)[model.best].tau).any()
+    again, _ = model.fit(many.add(np.zeros((1, 2)), np.zeros(1)), NONE, directed=True)
+    assert len(again.u) == 150
+    at = np.random.default_rng(2).standard_normal((500, 2))
+    truth = smooth(at) == 1
+    lottery, _ = Model(AS_IS).fit(labelled(cases, 150, smooth, seed=7), NONE, directed=True)
+
+    def wrong(fit):
+        return np.abs(fit.predict(at).probability - truth).mean()
+
+    assert wrong(thinned) < 0.5 * wrong(lottery)
+    assert wrong(again) < 0.5 * wrong(lottery)
 
 
 def test_soft_kernels_join_where_outcomes_contradict_an_order_deeply(cases, monkeypatch):

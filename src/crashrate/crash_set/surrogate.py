@@ -94,8 +94,8 @@ class Sites:
         return Sites(self.tau[rows], self.nu[rows])
 
     def put(self, rows: IntArray, sites: "Sites") -> "Sites":
-        """With those of `rows` replaced."""
-        tau, nu = self.tau.copy(), self.nu.copy()
+        """With those of `rows` replaced; of the others, those never approximated say nothing."""
+        tau, nu = np.nan_to_num(self.tau), np.nan_to_num(self.nu)
         tau[rows], nu[rows] = sites.tau, sites.nu
         return Sites(tau, nu)
 

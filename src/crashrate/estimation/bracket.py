@@ -12,24 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.auditing import audit_order
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.crude import crude
 from crashrate.estimation.exact_bounds import exact_bounds
-from crashrate.estimation.exploration import N_RANKED, Explored, explore
+from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.gap import Gap, aim_at_gap, candidates, closest, look
-from crashrate.estimation.kernels import DEEP, Model
-from crashrate.estimation.labels import Labels, n_to_discard
+from crashrate.estimation.kernels import Model
+from crashrate.estimation.labels import Labels
 from crashrate.estimation.order_audit import OrderAudit
-from crashrate.estimation.sequential import (
-    MAX_DISCARDED,
-    MAX_DISCARDED_SHARE,
-    MAX_ORDINARY,
-    ORDINARY_CRASHES,
-)
+from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.view import UNSURE, Standardiser, normalised
 from crashrate.sampling.pool import Density, draw_pool
@@ -112,7 +106,7 @@ def _explore(problem: Problem) -> Generator[Query, FloatArray, Explored | None]:
 
 def _begin(problem: Problem, explored: Explored) -> State:
     rng = problem.rng(BEGINNING)
-    ordinary = rng.permutation(maximal(explored.ordinary))[:MAX_ORDINARY]
+    ordinary = explored.most_dangerous(rng)
     x = explored.wide.sample(N_POOL, rng)
     u = explored.labels.coordinates(x[problem.traffic.contains(x)])
     standardise = Standardiser.weighted(u, np.full(len(u), 1 / len(u)))
@@ -166,7 +160,7 @@ def _round(
     y = yield Query(x, _standing(labels, gap.bounds()))
     edge = Standardiser.weighted(gap.pool.u[seen.even], normalised(seen.h_even * (1 - seen.h_even)))
     model = replace(model, standardise=model.standardise.or_else(edge))
-    ordinary = state.ordinary if gap.inner * N_RANKED <= ORDINARY_CRASHES else state.ordinary[:0]
+    ordinary = state.ordinary if ordinary_is_safe(gap.inner) else state.ordinary[:0]
     if len(ordinary) < len(state.ordinary):
         model = model.forgetting()
     return (
@@ -234,9 +228,7 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
 
 def _refuted(state: State) -> bool:
     """Whether the outcomes contradict the order as much as makes an estimate drop it."""
-    gaps = state.labels.contradiction_gaps(state.model.standardise.scale)
-    limit = max(MAX_DISCARDED, MAX_DISCARDED_SHARE * state.labels.n)
-    return n_to_discard(gaps > DEEP) > limit or n_to_discard(gaps > 0) > limit
+    return verdict(state.labels, state.model.standardise.scale) is not Verdict.STANDS
 
 
 def _dropped() -> Snapshot:

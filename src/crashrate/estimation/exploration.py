@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crashrate.crash_set.fronts import maximal
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import Asking, ask, probe, reachable
 from crashrate.estimation.strategy import Problem, Query
@@ -28,6 +29,8 @@ CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
 MAX_SPACE_FILLING = 200
+MAX_ORDINARY = 50
+ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 
 Exploration = Generator[Query, FloatArray, "Explored"]
 
@@ -56,6 +59,15 @@ class Explored:
     def found(self) -> bool:
         """Whether a crash was seen."""
         return bool((self.labels.y == 1).any())
+
+    def most_dangerous(self, rng: np.random.Generator) -> FloatArray:
+        """Some of the ordinary draws no other one of which is more dangerous; the order says so."""
+        return rng.permutation(maximal(self.ordinary))[:MAX_ORDINARY]
+
+
+def ordinary_is_safe(probability: float) -> bool:
+    """Whether `N_RANKED` draws of traffic may be taken as safe at this crash probability."""
+    return probability * N_RANKED <= ORDINARY_CRASHES
 
 
 def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:

@@ -6,8 +6,10 @@ from typing import Self
 
 import numpy as np
 
-from crashrate.crash_set.surrogate import IntArray, Prior, Sites, Surrogate, fit_surrogate
+from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
 from crashrate.estimation.labels import Labels
+from crashrate.estimation.refutation import DEEP
+from crashrate.estimation.telling import telling
 from crashrate.estimation.view import Standardiser
 from crashrate.variables import FloatArray
 
@@ -17,15 +19,10 @@ KERNELS = tuple(
     for variance in (1e3, 1e4)
 )
 LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
-# … and soft ones, where equal situations may end differently: an outcome contradicts another by
-# more than a ripple at the edge could, in standardised coordinates
-DEEP = 0.25
+# … and soft ones, where equal situations may end differently
 SOFT = tuple((0.1, 3.0, variance) for variance in (10.0, 100.0))
 Kernel = tuple[float, float, float]
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
-# The surrogate's cost grows with the cube of its labels. Beyond so many it keeps the new ones and
-# those of the others that hold the edge in place, at least MIN_OLD of them.
-MAX_LABELS, MIN_OLD = 700, 350
 
 
 @dataclass(frozen=True)
@@ -63,9 +60,9 @@ class Model:
         known = labels.known
         u = self.standardise(np.concatenate([ordinary, labels.u[known]]))
         crash = np.concatenate([np.zeros(len(ordinary), bool), labels.y[known] == 1])
-        rows = self._telling(len(u))
         choose = labels.n < REFIT_ALWAYS or labels.n >= REFIT_GROWTH * self.n_chosen
         warm, d = dict(self.warm), labels.u.shape[1]
+        rows = telling(u, crash, warm.get(self.best, Sites.unknown(0)).grown(len(u)).tau)
         sites = {
             kernel: warm.get(kernel, Sites.unknown(0)).grown(len(u))
             for kernel in (self._candidates(labels) if choose else (self.best,))
@@ -87,19 +84,6 @@ class Model:
             return KERNELS if labels.order is None else KERNELS + SOFT
         deepest = labels.contradiction_gaps(self.standardise.scale).max(initial=0.0)
         return KERNELS + SOFT if deepest > DEEP else KERNELS
-
-    def _telling(self, n: int) -> IntArray:
-        """Which of `n` labels the surrogate is fitted to: the new ones and the sharpest old sites.
-
-        A label far from the edge has a site of next to no precision: the fit is as good without.
-        """
-        if n <= MAX_LABELS:
-            return np.arange(n)
-        warm = dict(self.warm).get(self.best, Sites.unknown(0))
-        n_old = max(MAX_LABELS - (n - len(warm.tau)), MIN_OLD)
-        # a label without a site was never fitted: as good as new
-        by_precision = np.argsort(-np.nan_to_num(warm.tau, nan=np.inf), kind="stable")
-        return np.sort(np.concatenate([by_precision[:n_old], np.arange(len(warm.tau), n)]))
 
 
 def _merit(fit: Surrogate, *, soft: bool) -> tuple[bool, float]:

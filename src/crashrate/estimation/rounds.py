@@ -20,10 +20,10 @@ from crashrate.variables import FloatArray
 # The ratios of scatter seen to scatter predicted are shrunk to 1 with the weight of this many
 # rounds, and draws.
 PRIOR_ROUNDS = 4
-PRIOR_DRAWS = 20
+PRIOR_DRAWS = 10
 MIN_ROUNDS = 3
 # Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
-MIN_INFLATION = 0.7
+MIN_INFLATION = 0.4
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
@@ -181,11 +181,13 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     surrogate that for one round predicts many times the usual is wrong, and its round is noise: its
     variance counts as it is.)
 
-    The interval is Student's, with the predicted variance inflated by what was seen: by the Birge
-    ratio (Birge 1932) of the rounds' scatter to the predicted one, or by the ratio of the draws'
-    squared contributions to the predicted ones, whichever is larger; both shrunk towards 1.
-    Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
-    standard deviation), and the few rounds' own scatter alone under-covers. Where both say that the
+    The interval is Student's, with the predicted variance inflated by what was seen: by the ratio
+    of the draws' squared contributions to the predicted ones, or by the Birge ratio (Birge 1932) of
+    the rounds' scatter to the predicted one, less the standard deviation that it has by chance,
+    whichever is larger; both shrunk towards 1. Predictions alone are over-confident where the
+    surrogate is (on the ACC+AEB plant by 1.3 in standard deviation). The squared contributions are
+    many and tell the variance well, if no draw was an exception; the scatter, of few rounds, tells
+    where one was: the larger of two noisy ratios would be too large. Where both say that the
     prediction was too large (a smooth edge is better known than the surrogate dares to hold), the
     interval narrows with them, within `MIN_INFLATION`.
     """
@@ -231,12 +233,14 @@ def _together(share: FloatArray, sums: Sums, n_draws: int) -> _Together:
     center = (share * sums.estimates).sum(axis=0)
     squares = (sums.estimates - center) ** 2 / sums.variances
     counted = (share > 0).sum(axis=0)
-    birge = (PRIOR_ROUNDS + (squares * (share > 0)).sum(axis=0)) / (PRIOR_ROUNDS + counted - 1)
+    freedom = PRIOR_ROUNDS + counted - 1
+    birge = (PRIOR_ROUNDS + (squares * (share > 0)).sum(axis=0)) / freedom
+    beyond_chance = birge / (1 + np.sqrt(2 / freedom))
     variance = (share**2 * sums.variances).sum(axis=0)
     seen = (share**2 * sums.squares).sum(axis=0)
     # squared contributions of the draws over the predicted ones, shrunk towards 1
     surprise = (PRIOR_DRAWS + n_draws * seen / variance) / (PRIOR_DRAWS + n_draws)
-    inflation = np.maximum(MIN_INFLATION, np.maximum(birge, surprise))
+    inflation = np.maximum(MIN_INFLATION, np.maximum(beyond_chance, surprise))
     return _Together(center, variance, squares.mean(axis=0), inflation)
 
 

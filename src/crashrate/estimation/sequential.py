@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from crashrate.crash_set.fronts import maximal
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
@@ -19,9 +18,10 @@ from crashrate.estimation.crude import crude
 from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
-from crashrate.estimation.exploration import N_RANKED, Explored, explore
-from crashrate.estimation.kernels import DEEP, Model
-from crashrate.estimation.labels import Labels, n_to_discard
+from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
+from crashrate.estimation.kernels import Model
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
     Combined,
@@ -45,14 +45,7 @@ N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
-# The order is dropped when so many outcomes would have to be discarded for the others to agree with
-# it, at least. It is false where they contradict it by more than a ripple at the crash set's edge
-# (in the surrogate's standardised coordinates). Else danger may grow as declared, but where the
-# runs are outcomes do not imply one another: trusting them there lost a quarter of a probability.
-MAX_DISCARDED, MAX_DISCARDED_SHARE = 8, 0.06
 SCATTER_LIMIT = 3.0
-MAX_ORDINARY = 50
-ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 Learner = Generator[Query, FloatArray, Snapshot]
 
 
@@ -137,9 +130,8 @@ def _directed(problem: Problem, state: State, snapshot: Snapshot) -> State:
 
 
 def _begin(problem: Problem, explored: Explored) -> State:
-    labels, u = explored.labels, explored.ordinary
-    rng = problem.rng(BEGINNING)
-    ordinary = rng.permutation(maximal(u))[:MAX_ORDINARY]  # the order makes the rest safe too
+    labels, rng = explored.labels, problem.rng(BEGINNING)
+    ordinary = explored.most_dangerous(rng)
     reach = labels.coordinates(_inside(problem, explored, rng))
     standardise = Standardiser.weighted(reach, np.full(len(reach), 1 / len(reach)))
     directed = labels.learned is not None
@@ -247,20 +239,17 @@ def _fit(state: State) -> tuple[Surrogate, Model]:
 
 def _distrust(state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
-    n = state.labels.n
-    gaps = state.labels.contradiction_gaps(state.model.standardise.scale)
-    limit = max(MAX_DISCARDED, MAX_DISCARDED_SHARE * n)
-    false = n_to_discard(gaps > DEEP) > limit
-    if false or n_to_discard(gaps > 0) > limit:
+    found = verdict(state.labels, state.model.standardise.scale)
+    if found is not Verdict.STANDS:
         return replace(
             state,
             labels=state.labels.without_order(),
             rounds=(),
-            directed=not false,
-            dropped_at=n,
+            directed=found is not Verdict.FALSE,
+            dropped_at=state.labels.n,
             model=state.model.forgetting(),
         )
-    if len(state.ordinary) and view.probability * N_RANKED > ORDINARY_CRASHES:
+    if len(state.ordinary) and not ordinary_is_safe(view.probability):
         return replace(state, ordinary=state.ordinary[:0], model=state.model.forgetting())
     return state
 
