@@ -138,7 +138,8 @@ def small(monkeypatch):
     monkeypatch.setattr(sequential, "N_POOL", 600)
     for name, value in (("N_FIT", 100), ("N_COMPONENTS", 3)):
         monkeypatch.setattr(aiming, name, value)
-    monkeypatch.setattr(kernels, "KERNELS", ((0.5, 2.0, 1e3),))
+    monkeypatch.setattr(kernels, "KERNELS", (kernels.Kernel(0.5, 2.0, 1e3),))
+    monkeypatch.setattr(kernels, "ADDITIVE", ())
     for name, value in (("N_WIDE", 2000), ("N_ORDINARY", 1200)):
         monkeypatch.setattr(exploration, name, value)
 

@@ -47,7 +47,8 @@ def found(seed, **options):
 def studies():
     with pytest.MonkeyPatch.context() as patch:  # quicker
         patch.setattr(sequential, "N_POOL", 5000)
-        patch.setattr(kernels, "KERNELS", ((0.5, 2.0, 1e3),))
+        patch.setattr(kernels, "KERNELS", (kernels.Kernel(0.5, 2.0, 1e3),))
+        patch.setattr(kernels, "ADDITIVE", ())
         return [found(seed) for seed in range(12)]
 
 

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from crashrate.crash_set.order import RiskOrder
 from crashrate.crash_set.surrogate import Prior, fit_surrogate
 from crashrate.estimation import kernels, telling
-from crashrate.estimation.kernels import KERNELS, SOFT, Model
+from crashrate.estimation.kernels import ADDITIVE, KERNELS, SOFT, Kernel, Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import FAR, Standardiser
@@ -75,13 +75,13 @@ def test_labels_that_come_all_at_once_are_thinned_too(cases, monkeypatch):
 
 def test_soft_kernels_join_where_outcomes_contradict_an_order_deeply(cases, monkeypatch):
     tried = []
-    fit = kernels.fit_surrogate
+    fit = telling.fit_surrogate
 
     def spy(u, crash, prior, warm):
         tried.append(prior.variance)
         return fit(u, crash, prior, warm)
 
-    monkeypatch.setattr(kernels, "fit_surrogate", spy)
+    monkeypatch.setattr(telling, "fit_surrogate", spy)
     rng = np.random.default_rng(3)
 
     def luck(x):
@@ -91,16 +91,16 @@ def test_soft_kernels_join_where_outcomes_contradict_an_order_deeply(cases, monk
         return (x.sum(axis=1) > 1).astype(float)
 
     Model(AS_IS).fit(labelled(cases, 60, monotone), NONE, directed=True)
-    assert len(tried) == len(KERNELS)
+    assert len(tried) == len(KERNELS + ADDITIVE)
     tried.clear()
     fitted, _ = Model(AS_IS).fit(labelled(cases, 60, luck), NONE, directed=True)
-    assert len(tried) == len(KERNELS) + len(SOFT)
+    assert len(tried) == len(KERNELS + ADDITIVE + SOFT)
     assert fitted.converged
 
 
 @pytest.mark.parametrize("bump", [0.1, 3.0])
 def test_far_from_every_run_is_safe_without_an_order_whatever_the_kernel(bump):
-    prior = kernels._prior((bump, 1.0, 1e4), 2, directed=False)
+    prior = kernels._prior(Kernel(bump, 1.0, 1e4), 2, directed=False)
     far = np.array([[2.0, 2.0]])
     deviations = prior.mean(far) / np.sqrt(prior.variances(far))
     assert ndtr(deviations[0]) < FAR

@@ -2,26 +2,33 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from crashrate.crash_set.surrogate import Prior, Sites, Surrogate, fit_surrogate
+from crashrate.crash_set.surrogate import Prior, Sites, Surrogate
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.refutation import DEEP
-from crashrate.estimation.telling import telling
+from crashrate.estimation.telling import fit_telling
 from crashrate.estimation.view import Standardiser
 from crashrate.variables import FloatArray
 
-KERNELS = tuple(
-    (bump, length, variance)
-    for bump, length in ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
-    for variance in (1e3, 1e4)
-)
+
+class Kernel(NamedTuple):
+    """A `Prior`'s bump, its length in three coordinates (in one, if additive), its variance."""
+
+    bump: float
+    length: float
+    variance: float
+    additive: bool = False
+
+
+SHAPES = ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
+KERNELS = tuple(Kernel(*shape, variance) for shape in SHAPES for variance in (1e3, 1e4))
+ADDITIVE = tuple(Kernel(3.0, 2.0, variance, additive=True) for variance in (1e3, 1e4))
 LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
 # … and soft ones, where equal situations may end differently
-SOFT = tuple((0.1, 3.0, variance) for variance in (10.0, 100.0))
-Kernel = tuple[float, float, float]
+SOFT = tuple(Kernel(0.1, 3.0, variance) for variance in (10.0, 100.0))
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
 
 
@@ -33,7 +40,7 @@ class Model:
     ----------
     standardise : Standardiser
         Its coordinates.
-    best : tuple of float
+    best : Kernel
         The kernel in use.
     n_chosen : int
         Labels when the kernel was last chosen.
@@ -62,28 +69,28 @@ class Model:
         crash = np.concatenate([np.zeros(len(ordinary), bool), labels.y[known] == 1])
         choose = labels.n < REFIT_ALWAYS or labels.n >= REFIT_GROWTH * self.n_chosen
         warm, d = dict(self.warm), labels.u.shape[1]
-        rows = telling(u, crash, warm.get(self.best, Sites.unknown(0)).grown(len(u)).tau)
-        sites = {
-            kernel: warm.get(kernel, Sites.unknown(0)).grown(len(u))
-            for kernel in (self._candidates(labels) if choose else (self.best,))
-        }
         fits = {
-            kernel: fit_surrogate(
-                u[rows], crash[rows], _prior(kernel, d, directed=directed), site.of(rows)
+            kernel: fit_telling(
+                u,
+                crash,
+                _prior(kernel, d, directed=directed),
+                warm.get(kernel, Sites.unknown(0)).grown(len(u)),
             )
-            for kernel, site in sites.items()
+            for kernel in (self._candidates(labels, directed=directed) if choose else (self.best,))
         }
-        best = max(fits, key=lambda kernel: _merit(fits[kernel], soft=SOFT[0] in fits))
-        warm |= {kernel: sites[kernel].put(rows, fit.sites) for kernel, fit in fits.items()}
+        best = max(fits, key=lambda kernel: _merit(fits[kernel][0], soft=SOFT[0] in fits))
+        warm |= {kernel: sites for kernel, (_, sites) in fits.items()}
         n_chosen = labels.n if choose else self.n_chosen
-        return fits[best], replace(self, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
+        return fits[best][0], replace(self, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
 
-    def _candidates(self, labels: Labels) -> tuple[Kernel, ...]:
+    def _candidates(self, labels: Labels, *, directed: bool) -> tuple[Kernel, ...]:
         """Sharp kernels, and soft ones, which learn slowly, where outcomes deny an order deeply."""
+        sharp = KERNELS + ADDITIVE if labels.u.shape[1] > 1 else KERNELS
         if labels.learned is None:
-            return KERNELS if labels.order is None else KERNELS + SOFT
-        deepest = labels.contradiction_gaps(self.standardise.scale).max(initial=0.0)
-        return KERNELS + SOFT if deepest > DEEP else KERNELS
+            soft = labels.order is not None and not directed
+        else:
+            soft = labels.contradiction_gaps(self.standardise.scale).max(initial=0.0) > DEEP
+        return sharp + SOFT if soft else sharp
 
 
 def _merit(fit: Surrogate, *, soft: bool) -> tuple[bool, float]:
@@ -96,10 +103,10 @@ def _merit(fit: Surrogate, *, soft: bool) -> tuple[bool, float]:
 
 
 def _prior(kernel: Kernel, d: int, *, directed: bool) -> Prior:
-    bump, length, variance = kernel
-    length *= np.sqrt(d / 3)
+    bump, length, variance, additive = kernel
+    length *= 1.0 if additive else math.sqrt(d / 3)
     if directed:
-        return Prior(bump, length, variance, linear=1.0, slope=1.0, constant=0.0)
+        return Prior(bump, length, variance, 1.0, slope=1.0, constant=0.0, additive=additive)
     # without an order no direction is riskier, and far from any crash is safe
     far = FAR_SAFE * math.sqrt(bump + LINEAR)
-    return Prior(bump, length, variance, linear=LINEAR, slope=0.0, constant=far)
+    return Prior(bump, length, variance, LINEAR, slope=0.0, constant=far, additive=additive)
