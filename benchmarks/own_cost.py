@@ -25,7 +25,7 @@ from crashrate.estimation.campaign import Campaign
 from problems import PROBLEMS, Benchmark
 
 CHECKPOINTS = (100, 300, 600, 1200, 2500, 5000, 10_000)
-LATEST = 10  # rounds that "seconds a round" is the mean of
+LATEST = 10  # "seconds a round" is the mean of so many rounds, or of all since the row before
 PROBLEM_NAMES = ("C", "D", "disc")
 HEAD = (
     "| problem | batch | simulator runs | seconds a round | grows as | longest round "
@@ -83,19 +83,19 @@ def rounds(campaign: Campaign, problem: Benchmark) -> Iterator[Round]:
 def costs(campaign: Campaign, problem: Benchmark, limit: float) -> Iterator[Cost]:
     """What it has cost at each checkpoint, and where it ended or was given up."""
     latest: deque[float] = deque(maxlen=LATEST)
-    left, total, longest, n_calls = list(CHECKPOINTS), 0.0, 0.0, 0
+    left, total, longest = list(CHECKPOINTS), 0.0, 0.0
     for step in rounds(campaign, problem):
-        n_calls, total = step.n_calls, total + step.seconds
-        longest = max(longest, step.seconds)
-        if not (campaign.done and latest):  # the last tell also makes the final bounds
+        total, longest = total + step.seconds, max(longest, step.seconds)
+        if not campaign.done or not latest:  # the last tell also makes the final bounds
             latest.append(step.seconds)
-        over = total > limit
-        if (left and n_calls >= left[0]) or over or campaign.done:
-            left = [n for n in left if n > n_calls]
+        reached = bool(left) and step.n_calls >= left[0]
+        if reached or campaign.done or total > limit:
+            left = [n for n in left if n > step.n_calls]
             half_width = campaign.estimate().relative_half_width
             mean = sum(latest) / len(latest)
-            yield Cost(n_calls, mean, longest, total, peak_memory(), half_width)
-        if over:
+            latest.clear()
+            yield Cost(step.n_calls, mean, longest, total, peak_memory(), half_width)
+        if total > limit:
             return
 
 
