@@ -1,26 +1,28 @@
 """How often the interval holds the truth: a method over many seeds.
 
     python benchmarks/coverage.py --problem A --seeds 0:20 --out results.jsonl
+    python benchmarks/coverage.py --problem A B C --batch-size 1 10 100 1000 --out batches.jsonl
+    python benchmarks/coverage.py --problem A --target 0.2 0.1 0.05 --out targets.jsonl
 
 Each seed is one line of JSON in the file; seeds already there are not run again, so that a study
-can be stopped and taken up. The last thing printed is a table in Markdown.
+can be stopped and taken up. The last thing printed is a table in Markdown, and a second one where
+there are several batch sizes.
 """
 
 import argparse
-import math
+import itertools
 import os
-import statistics
 import time
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread a process; read by numpy's import
 
 import crashrate
+from coverage_table import DEFAULT_BATCH, by_batch_size, table
 from problems import PROBLEMS
-from study import Record, clopper_pearson, mend, read, seeds, study, without
+from study import Record, mend, read, seeds, study, without
 
-KEYS = ("problem", "method", "target", "max_calls", "version", "seed")
+KEYS = ("problem", "method", "target", "max_calls", "batch_size", "version", "seed")
 
 
 def run_seed(task: Record) -> Record:
@@ -35,6 +37,7 @@ def run_seed(task: Record) -> Record:
         method=task["method"],
         relative_half_width=task["target"],
         max_calls=task["max_calls"],
+        batch_size=task["batch_size"],
     )
     low, high = got.interval
     return task | {
@@ -51,81 +54,68 @@ def run_seed(task: Record) -> Record:
 
 
 def _progress(record: Record) -> str:
-    ratio = record["probability"] / record["reference"]
+    reference = record["reference"]
+    answer = (
+        f"{record['probability'] / reference:.4f} of the reference"
+        if reference
+        else (f"an upper end of {record['interval'][1]:.2g}")
+    )
     covered = "covered" if record["covered"] else "NOT COVERED"
     return (
         f"{record['problem']} seed {record['seed']}: {record['calls']} calls, "
-        f"{ratio:.4f} of the reference, {covered}, {record['stop']}, {record['seconds']:.1f} s"
+        f"{answer}, {covered}, {record['stop']}, {record['seconds']:.1f} s"
     )
 
 
-HEAD = (
-    "| problem | calls, median [min–max] | covered | 95 % interval of coverage | bias ± se "
-    "| rmse | target met | own seconds a run |\n|---|---|---|---|---|---|---|---|"
-)
+def lines(path: Path) -> list[Record]:
+    """The lines of a study so far; those from before batch sizes were recorded had the default."""
+    return [{"batch_size": DEFAULT_BATCH} | record for record in read(path)]
 
 
-def row(name: str, records: Sequence[Record]) -> str:
-    """One row of the table: a problem over its seeds."""
-    n = len(records)
-    calls = [r["calls"] for r in records]
-    errors = [r["probability"] / r["reference"] - 1 for r in records]
-    covered = sum(r["covered"] for r in records)
-    low, high = clopper_pearson(covered, n)
-    error = statistics.stdev(errors) / math.sqrt(n) if n > 1 else math.nan
-    rmse = math.sqrt(statistics.fmean(e * e for e in errors))
-    met = sum(r["stop"] == "TARGET_MET" for r in records)
-    return (
-        f"| {name} | {statistics.median(calls):g} [{min(calls)}–{max(calls)}] | {covered}/{n} "
-        f"| {100 * low:.0f}–{100 * high:.0f} % "
-        f"| {100 * statistics.fmean(errors):+.1f} ± {100 * error:.1f} % | {100 * rmse:.1f} % "
-        f"| {met}/{n} | {statistics.fmean(r['seconds'] for r in records):.1f} |"
-    )
-
-
-def table(records: Iterable[Record]) -> str:
-    """The study as a Markdown table, one row for each problem."""
-    groups: dict[str, list[Record]] = {}
-    for record in records:
-        label = f"{record['problem']}, ± {100 * record['target']:g} %"
-        if record["method"] != "sequential":
-            label += f", {record['method']}"
-        groups.setdefault(label, []).append(record)
-    return "\n".join([HEAD, *(row(name, groups[name]) for name in sorted(groups))])
+def wanted(options: argparse.Namespace) -> list[Record]:
+    """The campaigns asked for: every problem, target, batch size and seed."""
+    chosen = (options.problem, options.target, options.batch_size, options.seeds)
+    return [
+        {
+            "problem": name,
+            "seed": seed,
+            "method": options.method,
+            "target": target,
+            "max_calls": options.max_calls,
+            "batch_size": batch_size,
+            "version": crashrate.__version__,
+        }
+        for name, target, batch_size, seed in itertools.product(*chosen)
+    ]
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--problem", nargs="+", choices=PROBLEMS, default=[], metavar="NAME")
-    parser.add_argument("--seeds", type=seeds, default=range(20), help="first:last+1")
-    parser.add_argument("--out", type=Path, required=True, help="JSON lines, appended to")
-    parser.add_argument("--method", default="sequential")
-    parser.add_argument("--target", type=float, default=0.1, help="relative half-width")
-    parser.add_argument("--max-calls", type=int, default=2000)
-    parser.add_argument("--processes", type=int, default=1)
+    add = parser.add_argument
+    add("--problem", nargs="+", choices=PROBLEMS, default=[], metavar="NAME")
+    add("--seeds", type=seeds, default=range(20), help="first:last+1")
+    add("--out", type=Path, required=True, help="JSON lines, appended to")
+    add("--method", default="sequential")
+    add("--target", type=float, nargs="+", default=[0.1], help="relative half-widths")
+    add("--max-calls", type=int, default=2000)
+    add(
+        "--batch-size", type=int, nargs="+", default=[DEFAULT_BATCH], help="calls asked for at once"
+    )
+    add("--processes", type=int, default=1)
     return parser.parse_args()
 
 
 def main() -> None:
     options = arguments()
     mend(options.out)
-    wanted = [
-        {
-            "problem": name,
-            "seed": seed,
-            "method": options.method,
-            "target": options.target,
-            "max_calls": options.max_calls,
-            "version": crashrate.__version__,
-        }
-        for name in options.problem
-        for seed in options.seeds
-    ]
-    missing = without(wanted, read(options.out), KEYS)
+    missing = without(wanted(options), lines(options.out), KEYS)
     study(run_seed, missing, options.out, options.processes, _progress)
-    print(table(read(options.out)))
+    records = lines(options.out)
+    print(table(records))
+    if len({record["batch_size"] for record in records}) > 1:
+        print("\n" + by_batch_size(records))
 
 
 if __name__ == "__main__":

@@ -2,69 +2,28 @@
 
 A, B, C, D and ``corner`` are monotone (Gaussian mixtures, two to six variables), so are ``linear``
 and ``random walk`` in ten; ``disc`` is not; ``cut-in`` is the published traffic model with the
-ACC + AEB vehicle under test.
+ACC + AEB vehicle under test. ``linear, d = 4, 1e-3`` and its kin are half-spaces at every power of
+ten from 1e-2 to 1e-9. What else there is, and why, says `wider.py`.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from braking_follower import Outcomes, Rows, margin_left
+from benchmark import Benchmark, Outcomes, Rows, mixture, order_of, standard_normal
+from braking_follower import margin_left
 from crashrate.expressions import Expression
-from crashrate.traffic.model import TrafficModel
 from random_walk import crossing_probability
+from wider import WIDER
 
 
-@dataclass(frozen=True)
-class Benchmark:
-    """A crash set under a traffic model.
-
-    Parameters
-    ----------
-    traffic : TrafficModel
-    risk : mapping or None
-        The risk order declared to the campaign.
-    crash : callable
-        Rows (n, d) to outcomes (n,).
-    probability : float
-        The reference.
-    margin : callable or None
-        Rows (n, d) to numbers (n,) that are zero or below in a crash, and as smooth as the problem
-        allows: what the methods of `calls.py` that need more than an outcome are given.
-    """
-
-    traffic: TrafficModel
-    risk: Mapping[str, Any] | None
-    crash: Callable[[Rows], Outcomes]
-    probability: float
-    margin: Callable[[Rows], Rows] | None = None
-
-
-def _traffic(
-    weights: npt.ArrayLike, means: npt.ArrayLike, covariances: npt.ArrayLike, lower: float = -np.inf
-) -> TrafficModel:
-    d = np.shape(means)[1]
-    names = tuple(f"x{i + 1}" for i in range(d))
-    return TrafficModel(weights, means, covariances, [lower] * d, [np.inf] * d, names)
-
-
-def _standard_normal(d: int) -> TrafficModel:
-    return _traffic([1.0], np.zeros((1, d)), np.eye(d)[None])
-
-
-def _order(traffic: TrafficModel, *directions: str) -> dict[str, str]:
-    return dict(zip(traffic.names, directions, strict=True))
-
-
-def linear(d: int, probability: float = 1e-6) -> Benchmark:
+def linear(d: int, probability: float = 1e-6, *, ordered: bool = True) -> Benchmark:
     """A: a half-space of d standard normals, of an exact probability."""
     from scipy.special import ndtri
 
-    traffic, level = _standard_normal(d), -math.sqrt(d) * ndtri(probability)
+    traffic, level = standard_normal(d), -math.sqrt(d) * ndtri(probability)
 
     def crash(x: Rows) -> Outcomes:
         return np.asarray(x.sum(axis=1) >= level)
@@ -72,7 +31,20 @@ def linear(d: int, probability: float = 1e-6) -> Benchmark:
     def margin(x: Rows) -> Rows:
         return np.asarray(level - x.sum(axis=1))
 
-    return Benchmark(traffic, _order(traffic, *["increasing"] * d), crash, probability, margin)
+    order = order_of(traffic, *["increasing"] * d) if ordered else None
+    return Benchmark(traffic, order, crash, probability, margin)
+
+
+def half_spaces() -> dict[str, Callable[[], Benchmark]]:
+    """`linear` at every power of ten from 1e-2 to 1e-9, in 1 to 10 variables, both ways."""
+    return {
+        f"linear, d = {d}, {p}{', no order' * (not ordered)}": partial(
+            linear, d, float(p), ordered=ordered
+        )
+        for d in (1, 2, 4, 10)
+        for p in (f"1e-{k}" for k in range(2, 10))
+        for ordered in (True, False)
+    }
 
 
 def random_walk(d: int = 10, level: float = 15.0) -> Benchmark:
@@ -80,7 +52,7 @@ def random_walk(d: int = 10, level: float = 15.0) -> Benchmark:
 
     Reference: the walk's law, step by step, by quadrature; relative error below 1e-10.
     """
-    traffic = _standard_normal(d)
+    traffic = standard_normal(d)
 
     def crash(x: Rows) -> Outcomes:
         return np.asarray(x.cumsum(axis=1).max(axis=1) >= level)
@@ -88,7 +60,7 @@ def random_walk(d: int = 10, level: float = 15.0) -> Benchmark:
     def margin(x: Rows) -> Rows:
         return np.asarray(level - x.cumsum(axis=1).max(axis=1))
 
-    order = _order(traffic, *["increasing"] * d)
+    order = order_of(traffic, *["increasing"] * d)
     return Benchmark(traffic, order, crash, crossing_probability(level, d), margin)
 
 
@@ -99,7 +71,7 @@ def three_corners() -> Benchmark:
     """
     corners = np.array([[3.88, 0.89, 0.29], [0.59, 3.93, 0.79], [1.495, 1.36, 3.195]])
     levels = np.array([0.9, 0.6, 0.8])
-    traffic = _traffic(
+    traffic = mixture(
         [0.5, 0.3, 0.2],
         [[0.0, 0.0, 0.0], [1.0, -0.5, 0.3], [-0.6, 0.9, -0.4]],
         [
@@ -118,7 +90,7 @@ def three_corners() -> Benchmark:
         shifts = [_shift(x - c, t) for c, t in zip(corners, levels, strict=True)]
         return np.asarray(np.min(shifts, axis=0))
 
-    order = _order(traffic, *["increasing"] * 3)
+    order = order_of(traffic, *["increasing"] * 3)
     return Benchmark(traffic, order, crash, 1.1568563060894011e-06, margin)
 
 
@@ -157,10 +129,10 @@ def follower() -> Benchmark:
         ]
     )
     # the weights are of the untruncated components; a traffic model's are of the truncated ones
-    masses = _traffic([1 / 3] * 3, means, covariances, lower=0.0).component_masses
+    masses = mixture([1 / 3] * 3, means, covariances, lower=0.0).component_masses
     weights = np.array([0.6, 0.3, 0.1]) * masses
-    traffic = _traffic(weights / weights.sum(), means, covariances, lower=0.0)
-    order = _order(traffic, "decreasing", "increasing", "decreasing")
+    traffic = mixture(weights / weights.sum(), means, covariances, lower=0.0)
+    order = order_of(traffic, "decreasing", "increasing", "decreasing")
 
     def margin(x: Rows) -> Rows:
         return margin_left(*x.T)
@@ -174,7 +146,7 @@ def lognormal_sum() -> Benchmark:
     Reference: relative standard error 1e-7; importance sampling agrees to its 0.8 %.
     """
     exponents = np.array([0.50, 0.45, 0.45, 0.40, 0.40, 0.35])
-    traffic = _standard_normal(6)
+    traffic = standard_normal(6)
 
     def crash(x: Rows) -> Outcomes:
         return np.asarray(np.exp(x * exponents).sum(axis=1) >= 17.25)
@@ -183,18 +155,18 @@ def lognormal_sum() -> Benchmark:
         # logarithms: nearly linear in x, kinder to a gradient than the sum
         return np.asarray(math.log(17.25) - np.log(np.exp(x * exponents).sum(axis=1)))
 
-    order = _order(traffic, *["increasing"] * 6)
+    order = order_of(traffic, *["increasing"] * 6)
     return Benchmark(traffic, order, crash, 9.432762980128471e-07, margin)
 
 
 def corner() -> Benchmark:
     """Both of two standard normals above 3.09: monotone, with an edge no plane comes near; 1e-6."""
-    traffic = _standard_normal(2)
+    traffic = standard_normal(2)
 
     def crash(x: Rows) -> Outcomes:
         return np.all(x >= 3.090232306167813, axis=1)  # Φ(-3.09…) = 1e-3
 
-    return Benchmark(traffic, _order(traffic, *["increasing"] * 2), crash, 1e-6)
+    return Benchmark(traffic, order_of(traffic, *["increasing"] * 2), crash, 1e-6)
 
 
 def disc(*, ordered: bool = False) -> Benchmark:
@@ -205,7 +177,7 @@ def disc(*, ordered: bool = False) -> Benchmark:
     from scipy.optimize import brentq
     from scipy.stats import ncx2
 
-    center, traffic = np.array([4.6, 1.5]), _standard_normal(2)
+    center, traffic = np.array([4.6, 1.5]), standard_normal(2)
     radius = brentq(lambda r: ncx2.cdf(r * r, 2, center @ center) - 1e-6, 0.1, 2.0, xtol=1e-14)
 
     def crash(x: Rows) -> Outcomes:
@@ -214,7 +186,7 @@ def disc(*, ordered: bool = False) -> Benchmark:
     def margin(x: Rows) -> Rows:
         return np.asarray(((x - center) ** 2).sum(axis=1) - radius**2)
 
-    order = _order(traffic, *["increasing"] * 2) if ordered else None
+    order = order_of(traffic, *["increasing"] * 2) if ordered else None
     return Benchmark(traffic, order, crash, 1e-6, margin)
 
 
@@ -227,7 +199,7 @@ def two_sides(upper: float, lower: float) -> Benchmark:
     def crash(x: Rows) -> Outcomes:
         return (x[:, 0] > top) | (x[:, 0] < bottom)
 
-    return Benchmark(_standard_normal(2), None, crash, upper + lower)
+    return Benchmark(standard_normal(2), None, crash, upper + lower)
 
 
 def elbow(d: int, *, share: float = 1e-4) -> Benchmark:
@@ -239,7 +211,7 @@ def elbow(d: int, *, share: float = 1e-4) -> Benchmark:
     def crash(x: Rows) -> Outcomes:
         return np.any(x[:, :2] > level, axis=1)
 
-    return Benchmark(_standard_normal(d), None, crash, 1 - (1 - share) ** 2)
+    return Benchmark(standard_normal(d), None, crash, 1 - (1 - share) ** 2)
 
 
 def cut_in() -> Benchmark:
@@ -286,4 +258,8 @@ PROBLEMS: Mapping[str, Callable[[], Benchmark]] = {
     "linear, d = 10": lambda: linear(10),
     "random walk, d = 10": random_walk,
     "cut-in": cut_in,
+    "half of the time, d = 2": lambda: linear(2, 0.5),
+    "half of the time, d = 4": lambda: linear(4, 0.5),
+    **half_spaces(),
+    **WIDER,
 }

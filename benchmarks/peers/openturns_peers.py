@@ -137,7 +137,8 @@ def directional(limit: LimitState, seed: int, settings: Settings) -> Answer:
 # ± 10 % as ours; a block of 100 costs at most 5 % of the calls and makes an early stop on a
 # coefficient of variation that is itself badly estimated rare
 IS = {"coefficient_of_variation": TEN, "block": 100}
-# 4,000 a level: 1,000 and 2,000 lose regions; ± 10 to 15 % where the method holds
+# 4,000 a level: ± 6 to 16 % in `results/calls.md` but on C and, for cross-entropy, the disc; other
+# sizes were not measured
 ADAPTIVE = {"n": 4000, "block": 4000, "quantile": 0.1}
 # OpenTURNS' own range and level. A block is one step of every chain: with as many rows as a level
 # keeps, chains are ten steps long; with one block a level they are one step long, and the answer is

@@ -1,0 +1,163 @@
+"""Problems beyond the usual ones: where a campaign could fail, each with a known probability.
+
+Curved and concave sets (``outside a ball``, ``corner, d = 3``, ``union``), several regions (``three
+half-planes``), risk orders that fail in places or throughout (``holes``, ``wrong sign``), outcomes
+that are random, traffic that hardly reaches its box, and a vehicle that never crashes.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from benchmark import Benchmark, Outcomes, Rows, mixture, order_of, standard_normal
+from cells import in_hole, probability_with_holes, uniform
+from truncated_sum import sum_probability
+
+
+def outside_ball(d: int, probability: float) -> Benchmark:
+    """Outside a ball around the origin of d standard normals, no order: crashes on every side."""
+    from scipy.stats import chi2
+
+    squared_radius = chi2.isf(probability, d)
+
+    def crash(x: Rows) -> Outcomes:
+        return np.asarray((x**2).sum(axis=1) >= squared_radius)
+
+    return Benchmark(standard_normal(d), None, crash, probability)
+
+
+def all_above(d: int, probability: float) -> Benchmark:
+    """All of d standard normals above one level: a corner."""
+    from scipy.special import ndtri
+
+    traffic, level = standard_normal(d), -ndtri(probability ** (1 / d))
+
+    def crash(x: Rows) -> Outcomes:
+        return np.all(x >= level, axis=1)
+
+    return Benchmark(traffic, order_of(traffic, *["increasing"] * d), crash, probability)
+
+
+def any_above(d: int, probability: float) -> Benchmark:
+    """Any of d standard normals above one level: a union of d half-spaces."""
+    from scipy.special import ndtri
+
+    # 1 - (1 - q)^d = p, without the cancellation
+    traffic, level = standard_normal(d), -ndtri(-math.expm1(math.log1p(-probability) / d))
+
+    def crash(x: Rows) -> Outcomes:
+        return np.any(x >= level, axis=1)
+
+    return Benchmark(traffic, order_of(traffic, *["increasing"] * d), crash, probability)
+
+
+def three_half_planes(probability: float = 3e-6) -> Benchmark:
+    """Two standard normals beyond any of three lines on three sides of the origin, no order.
+
+    What lies beyond two of the lines is nearly twice as far from the origin as each of them: less
+    than 1e-13 of the probability.
+    """
+    from scipy.special import ndtri
+
+    angles, level = np.array([0.3, 2.4, 4.5]), -ndtri(probability / 3)
+    normals = np.stack([np.cos(angles), np.sin(angles)])
+
+    def crash(x: Rows) -> Outcomes:
+        return np.any(x @ normals >= level, axis=1)
+
+    return Benchmark(standard_normal(2), None, crash, probability)
+
+
+def holes(share: float, probability: float = 1e-5) -> Benchmark:
+    """A half-plane of which cells of 0.05 standard deviations are safe, `share` of them at random.
+
+    Reference: `cells.probability_with_holes`, the sum over the holes.
+    """
+    from scipy.special import ndtri
+
+    traffic, level = standard_normal(2), -math.sqrt(2) * ndtri(probability)
+
+    def crash(x: Rows) -> Outcomes:
+        return (x.sum(axis=1) >= level) & ~in_hole(x, share)
+
+    order = order_of(traffic, *["increasing"] * 2)
+    return Benchmark(traffic, order, crash, probability_with_holes(level, share))
+
+
+def random_outcome(probability: float = 1e-4, deviation: float = 0.3) -> Benchmark:
+    """A half-plane whose edge is moved by normal noise at every simulation: crash or not by chance.
+
+    The noise is a hash of the situation's bits: no two situations share theirs, and a situation has
+    the same outcome in any order, batch or process; a simulation repeated would not tell more.
+    Reference: exact, the noise adds its variance to that of the distance to the edge.
+    """
+    from scipy.special import ndtr, ndtri
+
+    traffic, level = standard_normal(2), -ndtri(probability)
+
+    def crash(x: Rows) -> Outcomes:
+        distance = x.sum(axis=1) / math.sqrt(2) - level
+        return np.asarray(uniform(x) < ndtr(distance / deviation))
+
+    reference = float(ndtr(-level / math.hypot(1.0, deviation)))
+    return Benchmark(traffic, order_of(traffic, *["increasing"] * 2), crash, reference)
+
+
+def mostly_outside() -> Benchmark:
+    """A component that has 1/1845 of its mass in the box of positive numbers, and 30 % of events.
+
+    Reference: quadrature, `truncated_sum.sum_probability`.
+    """
+    weights, level = (0.7, 0.3), 7.2
+    means, deviations = ((1.0, 1.0), (-4.0, 3.0)), (1.0, math.sqrt(1.5))
+    covariances = [s * s * np.eye(2) for s in deviations]
+    traffic = mixture(weights, means, covariances, lower=0.0)
+
+    def crash(x: Rows) -> Outcomes:
+        return np.asarray(x.sum(axis=1) >= level)
+
+    parts = [sum_probability(level, m, (s, s)) for m, s in zip(means, deviations, strict=True)]
+    reference = float(np.dot(weights, parts))
+    return Benchmark(traffic, order_of(traffic, *["increasing"] * 2), crash, reference)
+
+
+def never(*, ordered: bool = True) -> Benchmark:
+    """Two standard normals and a vehicle that never crashes."""
+    traffic = standard_normal(2)
+
+    def crash(x: Rows) -> Outcomes:
+        return np.zeros(len(x), dtype=bool)
+
+    order = order_of(traffic, *["increasing"] * 2) if ordered else None
+    return Benchmark(traffic, order, crash, 0.0)
+
+
+def wrong_sign(probability: float = 1e-5) -> Benchmark:
+    """A half-plane of two standard normals; the order has one of the two directions wrong."""
+    from scipy.special import ndtri
+
+    traffic, level = standard_normal(2), -math.sqrt(2) * ndtri(probability)
+
+    def crash(x: Rows) -> Outcomes:
+        return np.asarray(x.sum(axis=1) >= level)
+
+    return Benchmark(traffic, order_of(traffic, "increasing", "decreasing"), crash, probability)
+
+
+WIDER: Mapping[str, Callable[[], Benchmark]] = {
+    "outside a ball, d = 2": lambda: outside_ball(2, 1e-5),
+    "outside a ball, d = 3": lambda: outside_ball(3, 1e-4),
+    "corner, d = 3": lambda: all_above(3, 1e-6),
+    "union, d = 3": lambda: any_above(3, 1e-6),
+    "union, d = 5": lambda: any_above(5, 1e-5),
+    "three half-planes": three_half_planes,
+    "holes in 0.1 %": lambda: holes(0.001),
+    "holes in 1 %": lambda: holes(0.01),
+    "holes in 10 %": lambda: holes(0.1),
+    "random outcome": random_outcome,
+    "mostly outside the box": mostly_outside,
+    "never": never,
+    "never, no order": lambda: never(ordered=False),
+    "wrong sign": wrong_sign,
+}
