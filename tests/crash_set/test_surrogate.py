@@ -152,8 +152,8 @@ def test_an_additive_bump_is_one_for_each_coordinate():
 @pytest.mark.parametrize("additive", [False, True])
 def test_score_tells_whether_effects_add_up(additive):
     """Without it the surrogate of a sum in six coordinates took half as many labels more."""
-    u = np.random.default_rng(6).normal(size=(150, 6))
-    crash = (np.exp(0.6 * u).sum(axis=1) > 7.0) if additive else (u[:, 0] * u[:, 1] > 0.0)
+    u = np.random.default_rng(6).normal(size=(250, 6))
+    crash = (np.exp(0.6 * u).sum(axis=1) > 9.0) if additive else (u[:, 0] * u[:, 1] > 0.0)
     joint = Prior(bump=0.5, length=2.8, variance=1e3, linear=1.0, slope=1.0, constant=0.0)
     each = replace(joint, bump=3.0, length=2.0, additive=True)
     scores = [fit_surrogate(u, crash, prior).log_score for prior in (joint, each)]

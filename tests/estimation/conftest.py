@@ -157,6 +157,7 @@ def toy_view():
         inner, safe = lot < 0.1, lot > 0.9  # implied, and not seldom wrongly
         h = np.where(inner, 1.0, np.where(safe, 0.0, surrogate_h))
         outcomes = (pool.x.sum(axis=1) > 2).astype(float)
-        return View(pool, h, surrogate_h, inner, safe, inner, safe), outcomes
+        none = np.zeros(len(h), dtype=bool)
+        return View(pool, h, surrogate_h, inner, safe, inner, safe, none), outcomes
 
     return make

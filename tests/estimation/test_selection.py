@@ -89,7 +89,7 @@ def test_greedy_finds_nothing_where_nothing_is_in_doubt(view):
 @pytest.mark.parametrize("ordered", [True, False])
 @pytest.mark.parametrize("n", [1, 2, 10])
 def test_learning_draws(view, n, ordered):
-    rows = to_learn(view, n, np.random.default_rng(9), ordered=ordered, audited=False)
+    rows = to_learn(view, n, np.arange(1), np.random.default_rng(9), ordered=ordered)
     assert 1 <= len(rows) <= n
     assert np.array_equal(rows, np.unique(rows))
 
@@ -111,8 +111,9 @@ def test_nothing_implied_is_nothing_to_audit(view):
     assert len(audit(view, 0, np.random.default_rng(11))) == 0
 
 
-@pytest.mark.parametrize(("audited", "least"), [(False, 1), (True, 0)])
-def test_what_is_put_aside_holds_audits_until_there_are_enough(view, audited, least):
-    rows = aside(view, 4, np.random.default_rng(12), audited=audited)
+def test_what_is_put_aside_holds_the_audits_first(view):
+    audits = np.flatnonzero(view.inner)[:2]
+    rows = aside(view, 4, audits, np.random.default_rng(12))
     assert len(rows) <= 4
-    assert view.inner[rows].sum() == least
+    assert np.array_equal(rows[view.inner[rows]], audits)
+    assert np.array_equal(aside(view, 1, audits, np.random.default_rng(12)), audits[:1])

@@ -78,8 +78,8 @@ class Alarm(StrEnum):
         "are far apart"
     )
     SIMULATIONS_FAILED = (
-        "some simulations failed: the interval holds with each of them counted as a crash and as "
-        "safe"
+        "some simulations failed: the interval holds with each of those it rests on counted as a "
+        "crash and as safe, and likewise with regions in which all runs failed"
     )
     TARGET_NOT_REACHED = "the target was not reached before the budget ended"
 

@@ -29,6 +29,7 @@ CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
 MAX_SPACE_FILLING = 200
+MAX_SPREAD = 0.5  # standard deviation of an inflated component, in widths of the box
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 
@@ -73,14 +74,17 @@ def ordinary_is_safe(probability: float) -> bool:
 def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:
     """The traffic model's components, equally weighted, with covariances times each factor.
 
-    Around the means of the *truncated* components: a component far outside the box would send
-    hardly a draw into it.
+    Around the means of the *truncated* components, and no wider than `MAX_SPREAD` of the box: a
+    component far outside the box, or much wider, would send hardly a draw into it.
     """
     k = traffic.n_components * len(factors)
+    covariances = np.concatenate([traffic.covariances * f for f in factors])
+    widest = MAX_SPREAD * (traffic.upper - traffic.lower)
+    shrink = np.minimum(widest / np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)), 1.0)
     return Gaussians(
         np.full(k, 1 / k),
         np.concatenate([traffic.component_means] * len(factors)),
-        np.concatenate([traffic.covariances * f for f in factors]),
+        covariances * shrink[:, :, None] * shrink[:, None],
     )
 
 
@@ -91,7 +95,6 @@ def explore(problem: Problem) -> Exploration:
     if problem.order is not None:
         labels, wide, pool = yield from _inflate(problem, labels, rng)
         if (labels.y == 1).any():
-            labels = yield from _descend(problem, labels, pool)
             labels = yield from probe(problem, labels, pool)
         elif (labels.y == 0).any():
             labels = labels.without_order()  # the most dangerous situations are safe: not believed
@@ -120,15 +123,35 @@ def danger(u: FloatArray) -> FloatArray:
 def _inflate(
     problem: Problem, labels: Labels, rng: np.random.Generator
 ) -> Generator[Query, FloatArray, tuple[Labels, Gaussians, Pool]]:
-    """Inflate the traffic model until its most dangerous draw crashes."""
+    """Inflate the traffic model until its most dangerous draw crashes; go down from there."""
     for step in range(MAX_INFLATIONS):
         wide = inflated(problem.traffic, factors(INFLATION * INFLATION_STEP**step))
         pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
         worst = int(np.argmax(danger(pool.u)))
         labels = yield from ask(problem, labels, pool.x[worst : worst + 1])
         if (labels.y == 1).any():
-            break
+            return (yield from _descend(problem, labels, pool)), wide, pool
+    # no draw lies in a corner of the box; where danger grows towards it, it is the place to look
+    x = pool.x[worst]
+    corner = _to_bounds(problem, labels, x)
+    labels = yield from ask(problem, labels, corner[None])
+    if (labels.y == 1).any():
+        labels = yield from _search_line(problem, labels, x, corner)
     return labels, wide, pool
+
+
+def _to_bounds(problem: Problem, labels: Labels, x: FloatArray) -> FloatArray:
+    """`x` (d,) moved to bounds of the box, one after another, where it is no less dangerous."""
+    for i, bounds in enumerate(zip(problem.traffic.lower, problem.traffic.upper, strict=True)):
+        for bound in bounds:
+            moved = np.where(np.arange(len(x)) == i, bound, x)
+            if np.isfinite(bound) and _dominates(*labels.coordinates(np.stack([moved, x]))):
+                x = moved
+    return x
+
+
+def _dominates(u: FloatArray, v: FloatArray) -> bool:
+    return bool(np.isfinite(u).all() and (u >= v).all())
 
 
 def _descend(problem: Problem, labels: Labels, pool: Pool) -> Asking:
@@ -151,7 +174,7 @@ def _fill_space(
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
     rows = reachable(pool)
     x, u = pool.x[rows], pool.u[rows]
-    z = (u - u.mean(axis=0)) / u.std(axis=0)
+    z = (u - u.mean(axis=0)) / np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
     distance = (z * z).sum(axis=1)
     for _ in range(MAX_SPACE_FILLING):
         if (labels.y == 1).any() or labels.n >= problem.max_calls:

@@ -27,7 +27,8 @@ SHAPES = ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
 KERNELS = tuple(Kernel(*shape, variance) for shape in SHAPES for variance in (1e3, 1e4))
 ADDITIVE = tuple(Kernel(3.0, 2.0, variance, additive=True) for variance in (1e3, 1e4))
 LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
-# … and soft ones, where equal situations may end differently
+# … and soft ones, where equal situations may end differently: how likely a crash is falls off along
+# a plane, and nothing is certain far away
 SOFT = tuple(Kernel(0.1, 3.0, variance) for variance in (10.0, 100.0))
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
 
@@ -73,7 +74,7 @@ class Model:
             kernel: fit_telling(
                 u,
                 crash,
-                _prior(kernel, d, directed=directed),
+                _prior(kernel, d, directed=directed, ordered=labels.order is not None),
                 warm.get(kernel, Sites.unknown(0)).grown(len(u)),
             )
             for kernel in (self._candidates(labels, directed=directed) if choose else (self.best,))
@@ -87,7 +88,7 @@ class Model:
         """Sharp kernels, and soft ones, which learn slowly, where outcomes deny an order deeply."""
         sharp = KERNELS + ADDITIVE if labels.u.shape[1] > 1 else KERNELS
         if labels.learned is None:
-            soft = labels.order is not None and not directed
+            soft = labels.order is None or not directed
         else:
             soft = labels.contradiction_gaps(self.standardise.scale).max(initial=0.0) > DEEP
         return sharp + SOFT if soft else sharp
@@ -102,11 +103,12 @@ def _merit(fit: Surrogate, *, soft: bool) -> tuple[bool, float]:
     return fit.converged or not soft, fit.log_score
 
 
-def _prior(kernel: Kernel, d: int, *, directed: bool) -> Prior:
+def _prior(kernel: Kernel, d: int, *, directed: bool, ordered: bool) -> Prior:
     bump, length, variance, additive = kernel
     length *= 1.0 if additive else math.sqrt(d / 3)
-    if directed:
-        return Prior(bump, length, variance, 1.0, slope=1.0, constant=0.0, additive=additive)
+    if directed or kernel in SOFT:
+        slope = 1.0 if ordered else 0.0
+        return Prior(bump, length, variance, 1.0, slope=slope, constant=0.0, additive=additive)
     # without an order no direction is riskier, and far from any crash is safe
     far = FAR_SAFE * math.sqrt(bump + LINEAR)
     return Prior(bump, length, variance, LINEAR, slope=0.0, constant=far, additive=additive)

@@ -17,7 +17,8 @@ from crashrate.variables import FloatArray
 
 SAFE_PROBES, CRASH_PROBES = 4, 2
 MORE_PROBES = 3  # times as many where one of them contradicts: is it the order, or a ripple?
-NEGLIGIBLE_MASS = 1e-8
+NEGLIGIBLE_MASS = 1e-11
+FAR_LESS = 3.0  # in log density: a region of crashes a twentieth as dense as known ones adds little
 
 Asking = Generator[Query, FloatArray, Labels]
 EXPLORING = Snapshot()
@@ -33,25 +34,36 @@ def ask(problem: Problem, labels: Labels, x: FloatArray, snapshot: Snapshot = EX
     return labels
 
 
-def reachable(pool: Pool) -> np.ndarray:
-    """Rows of the pool that traffic reaches: all but the least dense 1e-8 of its probability."""
+def reachable(pool: Pool, likeliest: float = -np.inf) -> np.ndarray:
+    """Rows of the pool where a crash would matter.
+
+    All but the least dense 1e-11 of traffic's probability; and, once crashes are known, none that
+    are far less dense than the `likeliest` of them (a log density).
+    """
     by_density = np.argsort(pool.log_f)
     mass = np.cumsum(pool.weights[by_density])
-    return np.asarray(by_density[mass > NEGLIGIBLE_MASS * mass[-1]])
+    rows = by_density[mass > NEGLIGIBLE_MASS * mass[-1]]
+    return np.asarray(rows[pool.log_f[rows] > likeliest - FAR_LESS])
+
+
+def likeliest(problem: Problem, labels: Labels) -> float:
+    """Log density of the likeliest crash; -inf where there is none."""
+    return float(problem.traffic.log_density(labels.crashes).max(initial=-np.inf))
 
 
 def probe(problem: Problem, labels: Labels, pool: Pool, snapshot: Snapshot = EXPLORING) -> Asking:
     """Test the risk order where it decides, at the draws of `pool` farthest from all runs."""
     before = labels.contradictions
-    labels = yield from ask(problem, labels, _untested(labels, pool, 1), snapshot)
+    labels = yield from ask(problem, labels, _untested(problem, labels, pool, 1), snapshot)
     if labels.contradictions > before:
-        labels = yield from ask(problem, labels, _untested(labels, pool, MORE_PROBES), snapshot)
+        x = _untested(problem, labels, pool, MORE_PROBES)
+        labels = yield from ask(problem, labels, x, snapshot)
     return labels
 
 
-def _untested(labels: Labels, pool: Pool, times: int) -> FloatArray:
+def _untested(problem: Problem, labels: Labels, pool: Pool, times: int) -> FloatArray:
     """Decided draws far from all runs, shape (n, d)."""
-    rows = reachable(pool)
+    rows = reachable(pool, likeliest(problem, labels))
     x, u = pool.x[rows], pool.u[rows]
     crash, safe = labels.implied(u)
     chosen = [
@@ -59,6 +71,13 @@ def _untested(labels: Labels, pool: Pool, times: int) -> FloatArray:
         for member, n in ((safe, SAFE_PROBES), (crash, CRASH_PROBES))
     ]
     return np.asarray(x[np.concatenate(chosen)])
+
+
+def vouched_safe(problem: Problem, labels: Labels, pool: Pool, n: int) -> np.ndarray:
+    """Up to `n` rows that only the order holds to be safe, far from all runs."""
+    rows = reachable(pool, likeliest(problem, labels))
+    safe = np.flatnonzero(labels.implied(pool.u[rows])[1])
+    return np.asarray(rows[farthest(pool.u[rows], labels.u, safe, n)])
 
 
 def farthest(u: FloatArray, known: FloatArray, rows: np.ndarray, n: int) -> np.ndarray:

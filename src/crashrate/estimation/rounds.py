@@ -60,7 +60,8 @@ class Round:
         Simulator runs that entered it.
     estimate : float
     lowest, highest : float
-        The estimate with every failed simulation safe, and with every one a crash.
+        The estimate with every failed simulation safe, and with every one a crash: those of the
+        round, and all where the simulator fails.
     predicted : float
         The surrogate's sum P0, before the outcomes were known.
     variance : float
@@ -95,14 +96,15 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     failed = np.isnan(outcomes)
     moved = factor * (np.where(failed, h, outcomes) - h) / n
     down, up = (float((factor * np.where(failed, e - h, 0.0)).sum() / n) for e in (0.0, 1.0))
+    failing = np.where(view.failing, view.weights, 0.0)
     estimate = view.probability + float(moved.sum())
     variance = predicted_variance(view, drawn.probabilities, n) + view.pool_variance
     largest = float(np.abs(moved).max())
     return Round(
         n_runs=len(np.unique(rows)),
         estimate=estimate,
-        lowest=estimate + down,
-        highest=estimate + up,
+        lowest=estimate + down - float(failing @ view.h),
+        highest=estimate + up + float(failing @ (1 - view.h)),
         predicted=view.probability,
         variance=float(_at_least(variance, view.probability)),
         n_draws=n,

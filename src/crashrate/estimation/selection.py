@@ -13,7 +13,6 @@ MIN_SETTLED = 0.03  # a greedy run must be expected to settle this share of the 
 # Shares of the estimating draws: by what a run can tell, by undecided crash mass, by undecided
 # mass, and an audit of what the order implies.
 SPREAD, UNDECIDED_CRASH, UNDECIDED, AUDIT = 0.85, 0.05, 0.05, 0.05
-AUDIT_SHARE = 0.25  # of the draws that no estimate is made of
 DIRECTED = 0.75  # of a directed round's draws: its own estimate costs four times the variance
 
 IntArray = npt.NDArray[np.intp]
@@ -40,9 +39,9 @@ def greedy(view: View, n: int, rng: np.random.Generator) -> IntArray:
     return np.array(chosen, dtype=int)
 
 
-def aside(view: View, n: int, rng: np.random.Generator, *, audited: bool) -> IntArray:
-    """`n` draws or fewer that no estimate is made of: audits unless it is `audited`, and greedy."""
-    audits = audit(view, 0 if audited else round(AUDIT_SHARE * n), rng)
+def aside(view: View, n: int, audits: IntArray, rng: np.random.Generator) -> IntArray:
+    """`n` draws or fewer that no estimate is made of: `audits` of the order, and greedy ones."""
+    audits = audits[:n]
     return np.unique(np.concatenate([audits, greedy(view, n - len(audits), rng)]))
 
 
@@ -58,10 +57,10 @@ def audit(view: View, n: int, rng: np.random.Generator) -> IntArray:
 
 
 def to_learn(
-    view: View, n: int, rng: np.random.Generator, *, ordered: bool, audited: bool
+    view: View, n: int, audits: IntArray, rng: np.random.Generator, *, ordered: bool
 ) -> IntArray:
     """`n` draws that teach most about the crash set: half by dominance, half by doubt."""
-    first = aside(view, n // 2 if ordered else 0, rng, audited=audited)
+    first = aside(view, n // 2 if ordered else 0, audits, rng)
     rest = rng.choice(len(view.h), n - len(first), p=view.learning)
     return np.unique(np.concatenate([first, rest]).astype(int))
 
@@ -105,7 +104,7 @@ def _estimating(view: View) -> FloatArray:
         (SPREAD, view.spread),
         (UNDECIDED_CRASH, view.weights * view.h * view.undecided),
         (UNDECIDED, view.weights * view.undecided),
-        (AUDIT, np.where(view.undecided, 0.0, view.weights * likely)),
+        (AUDIT, np.where(view.inner | view.safe, view.weights * likely, 0.0)),
     )
     mixed = sum(s * (normalised(p) if p.sum() > 0 else spread) for s, p in parts)
     return normalised(np.asarray(mixed))

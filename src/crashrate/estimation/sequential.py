@@ -21,6 +21,7 @@ from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
+from crashrate.estimation.probing import vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -31,7 +32,7 @@ from crashrate.estimation.rounds import (
     measure,
     not_refuted,
 )
-from crashrate.estimation.selection import aside, to_estimate, to_learn
+from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
@@ -45,6 +46,7 @@ N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ROUND = 10
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
+AUDIT_SHARE = 0.25  # of the runs that no estimate is made of
 SCATTER_LIMIT = 3.0
 Learner = Generator[Query, FloatArray, Snapshot]
 
@@ -166,9 +168,9 @@ def _round(
     unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
     learning = bool(unsure) and state.may_learn
     if learning:
-        rows = to_learn(
-            wanted, problem.batch_size, rng, ordered=state.ordered, audited=state.audited
-        )
+        n = _size(problem, state)
+        audits = _audits(problem, state, wanted, n // 2, rng)
+        rows = to_learn(wanted, n, audits, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
         rounds = state.rounds
@@ -185,6 +187,25 @@ def _round(
         learning=learning,
     )
     return _distrust(state, view), view
+
+
+def _audits(
+    problem: Problem, state: State, view: View, n_aside: int, rng: np.random.Generator
+) -> IntArray:
+    """Runs where the order knows the outcome: in one round among crashes, in the next far off."""
+    n = 0 if state.audited or not state.ordered else round(AUDIT_SHARE * n_aside)
+    if state.k % 2:
+        return audit(view, n, rng)
+    return vouched_safe(problem, state.labels, view.pool, n)
+
+
+def _size(problem: Problem, state: State) -> int:
+    """Runs of the next round: a batch; large ones are grown into.
+
+    A thousand runs chosen by what forty taught would be spent at once. The budget has no say: what
+    is asked for first must not depend on how much may come after.
+    """
+    return min(problem.batch_size, max(ROUND, state.labels.n // 2))
 
 
 def _see(
@@ -209,10 +230,10 @@ def _estimate(
     problem: Problem, state: State, view: View, snapshot: Snapshot, rng: np.random.Generator
 ) -> Generator[Query, FloatArray, tuple[Labels, tuple[Round, ...]]]:
     """Runs drawn with known probabilities, and a few that settle much through the order."""
-    n = problem.batch_size
+    n = _size(problem, state)
     wanted = towards(view, state.members)
     n_aside = round(ASIDE_SHARE * n) if state.ordered else 0
-    others = aside(wanted, n_aside, rng, audited=state.audited)
+    others = aside(wanted, n_aside, _audits(problem, state, wanted, n_aside, rng), rng)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n

@@ -13,7 +13,7 @@ import numpy as np
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.probing import ask, farthest, reachable
+from crashrate.estimation.probing import ask, farthest, likeliest, reachable
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.sampling.pool import draw_pool
 from crashrate.variables import FloatArray
@@ -47,9 +47,9 @@ def survey(
 
 
 def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
-    """Situations (n, d) that traffic reaches, each the farthest from all runs."""
+    """Situations (n, d) where a crash would matter, each the farthest from all runs."""
     wide = inflated(problem.traffic, factors(INFLATION))
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-    rows = reachable(pool)
+    rows = reachable(pool, likeliest(problem, labels))
     chosen = farthest(pool.u[rows], labels.u, np.arange(len(rows)), n)
     return np.asarray(pool.x[rows][chosen])

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.labels import Labels
@@ -16,9 +17,15 @@ from crashrate.variables import BoolArray, FloatArray
 # edge is soon known so well that earlier runs would lie 10⁵ scales away, beyond double precision.
 MIN_SCALE = 0.01
 MAX_DRIFT = 0.3  # of center over scale, and of log scale, before the coordinates follow
-UNSURE = 1e-9  # a surrogate is never certain
+# A surrogate is never certain; but ordinary traffic has all the weight there is, and at 1e-9 it
+# would be taken for the largest doubt of all where crashes are rare and coordinates many.
+UNSURE = 1e-20
+# Where the nearest runs all failed, so many that failures at random had no more than this chance,
+# the simulator fails; a share of failures above MOST_FAILED is taken as that.
+BY_CHANCE, MOST_FAILED = 2e-3, 0.5
+SHARP = 1e3  # variance of kernels under which outcomes differ across an edge, not by chance
 FAR = 1e-3  # without an order, what the surrogate holds below this is taken as safe …
-FAR_PROBABILITY = 1e-14  # … (NO_ORDER alarm): its tails are the prior's, not the data's
+FAR_PROBABILITY = 1e-26  # … (NO_ORDER alarm): its tails are the prior's, not the data's
 OBJECTION = 0.5  # an implied label counts unless the surrogate holds the opposite likelier
 # An implied outcome keeps at least EDGE_DOUBT where it is implied by less than a ripple's depth and
 # the surrogate's edge is within two of them, so that it is simulated now and then. Certainty would
@@ -56,7 +63,8 @@ class Standardiser:
         """Weighted mean and standard deviation of `u` (n, m), the latter with a floor."""
         center = weights @ u
         scale = np.sqrt(weights @ (u - center) ** 2)
-        return cls(center, np.maximum(scale, MIN_SCALE * u.std(axis=0)) + 1e-12)
+        scale = np.maximum(scale, MIN_SCALE * u.std(axis=0))
+        return cls(center, np.where(scale > 0, scale, 1.0))  # a coordinate may be constant
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,8 @@ class View:
         Presumed to crash, presumed to be safe, and the surrogate does not object.
     implied_inner, implied_safe : ndarray of bool, shape (n,)
         Implied by outcomes that nothing contradicts, whatever the surrogate says: for the bounds.
+    failing : ndarray of bool, shape (n,)
+        Undecided, and the nearest runs all failed: more runs would tell nothing there.
     """
 
     pool: Pool
@@ -83,6 +93,7 @@ class View:
     safe: BoolArray
     implied_inner: BoolArray
     implied_safe: BoolArray
+    failing: BoolArray
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -91,13 +102,13 @@ class View:
 
     @property
     def undecided(self) -> BoolArray:
-        """Neither implied to crash nor to be safe."""
-        return ~(self.inner | self.safe)
+        """Neither implied to crash nor to be safe, and not failing."""
+        return ~(self.inner | self.safe | self.failing)
 
     @cached_property
     def spread(self) -> FloatArray:
         """Weight times standard deviation of the outcome: what a run at the draw can tell."""
-        return self.weights * np.sqrt(self.h * (1 - self.h))
+        return np.where(self.failing, 0.0, self.weights * np.sqrt(self.h * (1 - self.h)))
 
     @cached_property
     def probability(self) -> float:
@@ -113,9 +124,12 @@ class View:
     @cached_property
     def learning(self) -> FloatArray:
         """Distribution over draws, ∝ f^0.2 (h (1-h))³ / q: where outcomes teach most."""
-        doubt = np.maximum(self.h * (1 - self.h), 1e-300)
-        log = LEARN_DENSITY * self.pool.log_f + LEARN_VARIANCE * np.log(doubt) - self.pool.log_q
-        return normalised(np.exp(log - np.max(log)))
+        doubt = np.where(self.failing, 0.0, np.maximum(self.h * (1 - self.h), 1e-300))
+        with np.errstate(divide="ignore"):
+            doubt = LEARN_VARIANCE * np.log(doubt)
+        log = LEARN_DENSITY * self.pool.log_f + doubt - self.pool.log_q
+        top = np.max(log)  # -inf where the simulator fails everywhere
+        return normalised(np.exp(log - top) if np.isfinite(top) else np.zeros(len(log)))
 
     @cached_property
     def target(self) -> FloatArray:
@@ -145,7 +159,22 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     """Look at `pool` through the outcomes and the surrogate fitted to them."""
     h, raw, inner, outside = held(pool.u, labels, surrogate, standardise)
     crash, safe = labels.implied(pool.u)
-    return View(pool, h, raw, inner, outside, crash, safe)
+    failing = _failing(pool.u, labels, surrogate, standardise) & ~(inner | outside)
+    return View(pool, h, raw, inner, outside, crash, safe, failing)
+
+
+def _failing(
+    u: FloatArray, labels: Labels, surrogate: Surrogate, standardise: Standardiser
+) -> BoolArray:
+    """Where so many failed runs are nearer than any known one that it is hardly by chance."""
+    failed = standardise(labels.u[~labels.known])
+    share = min(len(failed) / max(labels.n, 1), MOST_FAILED)
+    k = math.ceil(math.log(BY_CHANCE) / math.log(share)) if share > 0 else 1
+    if len(failed) < k:
+        return np.zeros(len(u), dtype=bool)
+    z = standardise(u)
+    known = cKDTree(surrogate.u).query(z)[0]
+    return np.asarray(cKDTree(failed).query(z, k=[k])[0][:, 0] < known)
 
 
 def held(
@@ -164,7 +193,7 @@ def held(
     n_holes, n_tested = labels.exceptions(RIPPLE * standardise.scale)
     if n_holes:
         h = np.where(inner, np.minimum(h, 1 - n_holes / n_tested), h)
-    if labels.learned is None:
+    if labels.learned is None and surrogate.prior.variance >= SHARP:
         h = np.where(h < FAR, FAR_PROBABILITY, h)
     return h, raw, inner, outside
 

@@ -4,11 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from crashrate.traffic.log_mixture import LogMixture
 from crashrate.variables import FloatArray
 
 EM_STEPS = 15
+MIN_THICKNESS = 1e-5
 
 
 @dataclass(frozen=True)
@@ -69,9 +71,13 @@ def fit_gaussians(x: FloatArray, n_components: int, rng: np.random.Generator) ->
     """
     center, scale = x.mean(axis=0), x.std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    fit = _em((x - center) / scale, n_components, rng)
-    spread = np.outer(scale, scale)
-    return Gaussians(fit.weights, fit.means * scale + center, fit.covariances * spread)
+    z = (x - center) / scale
+    # whitened: draws may lie along a line, ten thousand times as thin as it is long
+    root = np.linalg.cholesky(np.atleast_2d(np.cov(z.T)) + MIN_THICKNESS**2 * np.eye(x.shape[1]))
+    fit = _em(solve_triangular(root, z.T, lower=True).T, n_components, rng)
+    root = scale[:, None] * root
+    covariances = root @ fit.covariances @ root.T
+    return Gaussians(fit.weights, fit.means @ root.T + center, covariances)
 
 
 def _em(z: FloatArray, n_components: int, rng: np.random.Generator) -> Gaussians:
