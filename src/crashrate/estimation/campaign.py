@@ -1,5 +1,6 @@
 """The campaign: ask for situations, tell their outcomes, estimate. The one class with state."""
 
+import math
 import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
@@ -11,8 +12,10 @@ import numpy.typing as npt
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import CallOrderError, InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.estimation.strategy import Method, Problem, Query, Snapshot
+from crashrate.outcomes import Told, consequence_names, outcome_table
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray, as_rows, nearest
 
@@ -62,6 +65,7 @@ GOALS: Mapping[str, Mapping[str, Method]] = {
     "probability": METHODS,
     "bounds": {"sequential": _bracket},
 }
+TELL_CONSEQUENCES = ("sequential",)  # that estimate what else a run tells of the event
 TELL_MEMBERS = ("sequential",)  # that say what each member of a traffic model makes of the runs
 
 
@@ -99,6 +103,13 @@ class Campaign:
         Half-widths that a resumed campaign aimed at before, each until so many simulator runs.
     earlier_budgets : sequence of (int, int)
         Its budgets before, likewise.
+    consequences : sequence of str
+        Names of numbers in [0, 1] that a run tells beside the event and that are 0 where it did not
+        happen: the expected injury, or whether a narrower event happened too. The estimate gives
+        the expectation of each. Only by the method "sequential", with the goal "probability".
+    aim : str, optional
+        The consequence that the target is for, and that the runs are chosen to estimate; the
+        event's probability where not given.
 
     Raises
     ------
@@ -127,8 +138,11 @@ class Campaign:
         batch_size: int = 10,
         earlier_targets: Sequence[tuple[float, int]] = (),
         earlier_budgets: Sequence[tuple[int, int]] = (),
+        consequences: Sequence[str] = (),
+        aim: str | None = None,
     ) -> None:
         steps = _method(method, goal, ordered=risk is not None)
+        names = _consequences(consequences, aim, method, goal)
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units
@@ -144,13 +158,15 @@ class Campaign:
             seed=seed,
             earlier_targets=tuple((float(t), int(n)) for t, n in earlier_targets),
             earlier_budgets=tuple((int(b), int(n)) for b, n in earlier_budgets),
+            consequences=names,
+            aim=aim,
         )
         self._method, self._goal = method, goal
         self._steps = steps(self._problem)
         self._pending: FloatArray | None = None
         self._snapshot = Snapshot()
         self._asked: list[FloatArray] = []
-        self._told: list[FloatArray] = []
+        self._told: list[FloatArray] = []  # tables (n, 1 + K)
         self._history: list[HistoryPoint] = []
         self._taken = False
 
@@ -193,7 +209,13 @@ class Campaign:
     @property
     def outcomes(self) -> FloatArray:
         """Their outcomes, shape (n_calls,): 1 crash, 0 safe, NaN failed."""
-        return np.concatenate([np.empty(0), *self._told])
+        return np.concatenate([np.empty(0), *(table[:, 0] for table in self._told)])
+
+    @property
+    def consequences(self) -> FloatArray:
+        """Their consequences, shape (n_calls, K), NaN where the simulation failed."""
+        none = np.empty((0, len(self._problem.consequences)))
+        return np.concatenate([none, *(table[:, 1:] for table in self._told)])
 
     def ask(self) -> FloatArray:
         """The next situations to simulate, shape (n, d) in the traffic model's variables.
@@ -217,32 +239,40 @@ class Campaign:
         self._taken = True
         return self._pending.copy()
 
-    def tell(self, outcomes: npt.ArrayLike) -> None:
+    def tell(self, outcomes: Told) -> None:
         """Take the outcomes of the situations asked for: True or 1 a crash, False or 0 safe.
 
         Parameters
         ----------
         outcomes : array_like, shape (n,)
-            In the order of `ask`. NaN says that the simulation failed: never "safe".
+            In the order of `ask`. NaN says that the simulation failed: never "safe". With K
+            consequences, shape (n, 1 + K), the outcomes in the first column and then each
+            consequence in the order declared; or a mapping of names to arrays (n,), whose one key
+            that names no consequence is the event's.
 
         Raises
         ------
         CallOrderError
             If nothing was asked.
         InvalidInputError
-            If there is not one outcome per situation, or one is not 0, 1 or NaN.
+            If there is not one outcome per situation, or one is not 0, 1 or NaN; or a consequence
+            is not in [0, 1], or above 0 where the event did not happen.
         """
         if self._pending is None or not self._taken:
             raise CallOrderError("tell: nothing was asked; call campaign.ask() first.")
-        y = _outcomes(outcomes, len(self._pending))
+        n, names = len(self._pending), self._problem.consequences
+        if names:
+            table = outcome_table(outcomes, n, names, "tell", InvalidInputError)
+        else:
+            table = _outcomes(outcomes, n)[:, None]
         self._asked.append(self._pending)
-        self._told.append(y)
+        self._told.append(table)
         self._taken = False
         if self._hopeless():
             self._pending = None
             self._snapshot = replace(self._snapshot, stop_reason=StopReason.ALL_FAILED)
         else:
-            self._advance(lambda: self._steps.send(y))
+            self._advance(lambda: self._steps.send(table if names else table[:, 0]))
         self._history.append(self._history_point())
 
     def estimate(self) -> Estimate:
@@ -269,6 +299,24 @@ class Campaign:
             traffic_range=s.traffic_range,
             goal=self._goal,
             order_audit=s.order_audit,
+            consequences=s.consequences or self._unknown(),
+        )
+
+    def _unknown(self) -> tuple[Consequence, ...]:
+        """The consequences while there is no estimate: none is larger than the event's upper end."""
+        s = self._snapshot
+        return tuple(
+            Consequence(
+                name=name,
+                mean=0.0 if s.probability == 0 else math.nan,
+                interval=(0.0, s.interval[1]),
+                standard_error=math.inf,
+                n_eff=0.0,
+                n_carrying=int(np.count_nonzero(z > 0)),
+                largest_weight_share=1.0,
+                aimed=name == self._problem.aim,
+            )
+            for name, z in zip(self._problem.consequences, self.consequences.T, strict=True)
         )
 
     def crash_probability(self, x: npt.ArrayLike) -> FloatArray:
@@ -350,6 +398,31 @@ def _method(method: str, goal: str, *, ordered: bool) -> Method:
     return GOALS[goal][method]
 
 
+def _consequences(
+    consequences: Sequence[str], aim: str | None, method: str, goal: str
+) -> tuple[str, ...]:
+    """The consequences' names.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are no names, `aim` is none of them, or method and goal know none.
+    """
+    names = consequence_names(consequences)
+    if aim is not None and aim not in names:
+        known = f"one of the consequences ({', '.join(names)})" if names else "none"
+        raise InvalidInputError(
+            f"aim: expected {known}, got {aim!r}{nearest(aim, names)}; declare it in consequences, "
+            "or leave aim out to aim at the event."
+        )
+    if names and (method not in TELL_CONSEQUENCES or goal != "probability"):
+        raise InvalidInputError(
+            "consequences: estimated by the method 'sequential' with the goal 'probability', got "
+            f"the method {method!r} with the goal {goal!r}; leave them out, or change these."
+        )
+    return names
+
+
 def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
     """The law of z without members; a warning where there are some."""
     if not traffic.members:
@@ -383,6 +456,8 @@ def _alarms(s: Snapshot, y: FloatArray, n_crashes: int) -> tuple[Alarm, ...]:
         found.append(Alarm.SIMULATIONS_FAILED)
     if 0 < n_crashes < MIN_CRASHES and np.isfinite(s.probability):
         found.append(Alarm.TOO_FEW_CRASHES)
+    if not all(c.determined for c in s.consequences):
+        found.append(Alarm.CONSEQUENCE_UNDETERMINED)
     if s.probability > NEARLY_ALL:
         found.append(Alarm.NEARLY_ALL_CRASH)
     if s.stop_reason is StopReason.BUDGET_ENDED:

@@ -60,6 +60,25 @@ class Standardiser:
 
 
 @dataclass(frozen=True)
+class Moments:
+    """What is held about a number in [0, 1] that a run at each draw comes to.
+
+    Parameters
+    ----------
+    mean, square : ndarray, shape (n,)
+        Expectation of the number and of its square.
+    """
+
+    mean: FloatArray
+    square: FloatArray
+
+    @cached_property
+    def deviation(self) -> FloatArray:
+        """Its standard deviation."""
+        return np.sqrt(np.maximum(self.square - self.mean**2, 0.0))
+
+
+@dataclass(frozen=True)
 class View:
     """A pool with what is held about each draw.
 
@@ -74,6 +93,10 @@ class View:
         Presumed to crash, presumed to be safe, and the surrogate does not object.
     implied_inner, implied_safe : ndarray of bool, shape (n,)
         Implied by outcomes that nothing contradicts, whatever the surrogate says: for the bounds.
+    consequences : tuple of Moments
+        Of the event.
+    aim : int or None
+        The consequence that is aimed at; None for the event itself.
     """
 
     pool: Pool
@@ -83,6 +106,8 @@ class View:
     safe: BoolArray
     implied_inner: BoolArray
     implied_safe: BoolArray
+    consequences: tuple[Moments, ...] = ()
+    aim: int | None = None
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -98,6 +123,13 @@ class View:
     def spread(self) -> FloatArray:
         """Weight times standard deviation of the outcome: what a run at the draw can tell."""
         return self.weights * np.sqrt(self.h * (1 - self.h))
+
+    @property
+    def aimed_spread(self) -> FloatArray:
+        """What a run at the draw can tell of the number that is aimed at."""
+        if self.aim is None:
+            return self.spread
+        return self.weights * self.consequences[self.aim].deviation
 
     @cached_property
     def probability(self) -> float:
@@ -119,8 +151,9 @@ class View:
 
     @cached_property
     def target(self) -> FloatArray:
-        """Distribution over draws, ∝ w √h: of which the estimating rounds draw."""
-        return normalised(self.weights * np.sqrt(self.h))
+        """Distribution over draws, ∝ w √E[z²] of what is aimed at, w √h for the event itself."""
+        square = self.h if self.aim is None else self.consequences[self.aim].square
+        return normalised(self.weights * np.sqrt(square))
 
     def under(self, ratio: FloatArray) -> Self:
         """As other traffic sees it: with `ratio` (n,) times the density, up to a factor."""
