@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from crashrate import datasets
 from crashrate.cli import Method, app
 from crashrate.errors import InvalidInputError
-from crashrate.estimation import campaign
+from crashrate.estimation import methods
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.strategy import Query, Snapshot
 from crashrate.runs import demo
@@ -63,7 +63,7 @@ def three_batches(problem):
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setitem(campaign.METHODS, "sequential", three_batches)
+    monkeypatch.setitem(methods.METHODS, "sequential", three_batches)
 
 
 @pytest.fixture
@@ -185,7 +185,7 @@ METHODS = ("sequential", "huang2017", "crude", "cross-entropy")
 
 
 def test_every_method_has_a_name_on_the_command_line():
-    assert tuple(method.value for method in Method) == METHODS == tuple(campaign.METHODS)
+    assert tuple(method.value for method in Method) == METHODS == tuple(methods.METHODS)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -5,6 +5,7 @@ numbers in [0, 1] that are 0 where the event did not happen.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from crashrate.errors import CrashrateError, InvalidInputError
 from crashrate.variables import FloatArray
 
-Told = npt.ArrayLike | Mapping[str, npt.ArrayLike]
+Told: TypeAlias = npt.ArrayLike | Mapping[str, npt.ArrayLike]
 
 
 def consequence_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -30,6 +31,34 @@ def consequence_names(names: Sequence[str]) -> tuple[str, ...]:
     if len(set(names)) < len(names):
         raise InvalidInputError(f"consequences: expected different names, got {tuple(names)!r}.")
     return tuple(names)
+
+
+def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
+    """What a campaign is told, as a table (n, 1 + K); without names, (n,) outcomes alone.
+
+    Raises
+    ------
+    InvalidInputError
+        As `outcome_table`.
+    """
+    if names:
+        return outcome_table(told, n, names, "tell", InvalidInputError)
+    if isinstance(told, Mapping):
+        raise InvalidInputError(
+            f"tell: expected {n} outcomes, one per situation asked for, got a mapping; declare "
+            "what it holds beside the event, as in consequences=('injury',)."
+        )
+    y = np.asarray(told, dtype=np.float64)
+    if y.shape != (n,):
+        raise InvalidInputError(
+            f"tell: expected {n} outcomes, one per situation asked for, got shape {y.shape}."
+        )
+    bad = np.flatnonzero(~(np.isnan(y) | (y == 0) | (y == 1)))
+    if len(bad):
+        raise InvalidInputError(
+            f"tell: expected True, False or NaN (failed), got {y[bad[0]]} at row {bad[0]}."
+        )
+    return y[:, None]
 
 
 def outcome_table(
@@ -80,12 +109,12 @@ def _as_table(
         if isinstance(told, Mapping):
             told = np.stack([np.asarray(c) for c in _columns(told, names, what, error)], axis=-1)
         table = np.asarray(told)
-        if table.dtype.kind not in "biuf":
-            raise ValueError(f"dtype {table.dtype}")
     except ValueError as why:
         raise error(
             f"{what}: expected an array of numbers of shape {shape} ({columns}), got {why}."
         ) from why
+    if table.dtype.kind not in "biuf":
+        raise error(f"{what}: expected numbers ({columns}), got dtype {table.dtype}.")
     if table.shape != shape:
         raise error(
             f"{what}: expected shape {shape}, a row for each situation with the columns {columns}, "

@@ -1,8 +1,7 @@
 """The campaign: ask for situations, tell their outcomes, estimate. The one class with state."""
 
-import math
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,63 +9,18 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.crash_set.order import RiskOrder
-from crashrate.errors import CallOrderError, InvalidInputError
+from crashrate.errors import CallOrderError
 from crashrate.estimation.alarms import Alarm, StopReason
-from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.estimate import Estimate, HistoryPoint
-from crashrate.estimation.strategy import Method, Problem, Query, Snapshot
-from crashrate.outcomes import Told, consequence_names, outcome_table
+from crashrate.estimation.methods import TELL_MEMBERS, declared, method_for
+from crashrate.estimation.strategy import Problem, Query, Snapshot, unknown
+from crashrate.outcomes import Told, told_table
 from crashrate.traffic.model import TrafficModel
-from crashrate.variables import FloatArray, as_rows, nearest
+from crashrate.variables import FloatArray, as_rows
 
 MIN_CRASHES = 10
 NEARLY_ALL = 0.9  # a probability above it is rather an outcome turned round
 MAX_FAILURES = 20  # a simulator that has failed as often and never run will not run
-
-
-def _sequential(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.sequential import sequential
-
-    return sequential(problem)
-
-
-def _huang2017(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.huang2017 import huang2017
-
-    return huang2017(problem)
-
-
-def _bracket(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.bracket import bracket
-
-    return bracket(problem)
-
-
-def _crude(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.crude_monte_carlo import crude_monte_carlo
-
-    return crude_monte_carlo(problem)
-
-
-def _cross_entropy(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.cross_entropy import cross_entropy
-
-    return cross_entropy(problem)
-
-
-LEARNING = ("sequential",)  # methods that end with a learned crash set, a `Belief`
-METHODS: Mapping[str, Method] = {
-    "sequential": _sequential,
-    "huang2017": _huang2017,
-    "crude": _crude,
-    "cross-entropy": _cross_entropy,
-}
-GOALS: Mapping[str, Mapping[str, Method]] = {
-    "probability": METHODS,
-    "bounds": {"sequential": _bracket},
-}
-TELL_CONSEQUENCES = ("sequential",)  # that estimate what else a run tells of the event
-TELL_MEMBERS = ("sequential",)  # that say what each member of a traffic model makes of the runs
 
 
 class Campaign:
@@ -141,8 +95,8 @@ class Campaign:
         consequences: Sequence[str] = (),
         aim: str | None = None,
     ) -> None:
-        steps = _method(method, goal, ordered=risk is not None)
-        names = _consequences(consequences, aim, method, goal)
+        steps = method_for(method, goal, ordered=risk is not None)
+        names = declared(consequences, aim, method, goal)
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units
@@ -261,10 +215,7 @@ class Campaign:
         if self._pending is None or not self._taken:
             raise CallOrderError("tell: nothing was asked; call campaign.ask() first.")
         n, names = len(self._pending), self._problem.consequences
-        if names:
-            table = outcome_table(outcomes, n, names, "tell", InvalidInputError)
-        else:
-            table = _outcomes(outcomes, n)[:, None]
+        table = told_table(outcomes, n, names)
         self._asked.append(self._pending)
         self._told.append(table)
         self._taken = False
@@ -299,24 +250,7 @@ class Campaign:
             traffic_range=s.traffic_range,
             goal=self._goal,
             order_audit=s.order_audit,
-            consequences=s.consequences or self._unknown(),
-        )
-
-    def _unknown(self) -> tuple[Consequence, ...]:
-        """The consequences while there is no estimate: none is larger than the event's upper end."""
-        s = self._snapshot
-        return tuple(
-            Consequence(
-                name=name,
-                mean=0.0 if s.probability == 0 else math.nan,
-                interval=(0.0, s.interval[1]),
-                standard_error=math.inf,
-                n_eff=0.0,
-                n_carrying=int(np.count_nonzero(z > 0)),
-                largest_weight_share=1.0,
-                aimed=name == self._problem.aim,
-            )
-            for name, z in zip(self._problem.consequences, self.consequences.T, strict=True)
+            consequences=s.consequences or unknown(self._problem, s, self.consequences),
         )
 
     def crash_probability(self, x: npt.ArrayLike) -> FloatArray:
@@ -370,59 +304,6 @@ class Campaign:
         return HistoryPoint(self.n_calls, s.probability, *s.interval, s.phase)
 
 
-def _method(method: str, goal: str, *, ordered: bool) -> Method:
-    """The generator function that serves the goal by the method.
-
-    Raises
-    ------
-    InvalidInputError
-        If one of them is unknown, or the goal is out of the method's or the order's reach.
-    """
-    if method not in METHODS:
-        raise InvalidInputError(
-            f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
-        )
-    if goal not in GOALS:
-        raise InvalidInputError(
-            f"goal: expected a known one, got {goal!r}{nearest(goal, tuple(GOALS))}."
-        )
-    if method not in GOALS[goal]:
-        raise InvalidInputError(
-            f"goal: {goal!r} is served by the method {', '.join(GOALS[goal])}, got {method!r}."
-        )
-    if goal == "bounds" and not ordered:
-        raise InvalidInputError(
-            "goal: 'bounds' needs a risk order, for only through one do outcomes imply others; "
-            "declare it with risk={'v_lead': 'decreasing', …}, or ask for the goal 'probability'."
-        )
-    return GOALS[goal][method]
-
-
-def _consequences(
-    consequences: Sequence[str], aim: str | None, method: str, goal: str
-) -> tuple[str, ...]:
-    """The consequences' names.
-
-    Raises
-    ------
-    InvalidInputError
-        If they are no names, `aim` is none of them, or method and goal know none.
-    """
-    names = consequence_names(consequences)
-    if aim is not None and aim not in names:
-        known = f"one of the consequences ({', '.join(names)})" if names else "none"
-        raise InvalidInputError(
-            f"aim: expected {known}, got {aim!r}{nearest(aim, names)}; declare it in consequences, "
-            "or leave aim out to aim at the event."
-        )
-    if names and (method not in TELL_CONSEQUENCES or goal != "probability"):
-        raise InvalidInputError(
-            "consequences: estimated by the method 'sequential' with the goal 'probability', got "
-            f"the method {method!r} with the goal {goal!r}; leave them out, or change these."
-        )
-    return names
-
-
 def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
     """The law of z without members; a warning where there are some."""
     if not traffic.members:
@@ -434,20 +315,6 @@ def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
         stacklevel=3,
     )
     return replace(traffic.modelled, members=())
-
-
-def _outcomes(outcomes: npt.ArrayLike, n: int) -> FloatArray:
-    y = np.asarray(outcomes, dtype=np.float64)
-    if y.shape != (n,):
-        raise InvalidInputError(
-            f"tell: expected {n} outcomes, one per situation asked for, got shape {y.shape}."
-        )
-    bad = np.flatnonzero(~(np.isnan(y) | (y == 0) | (y == 1)))
-    if len(bad):
-        raise InvalidInputError(
-            f"tell: expected True, False or NaN (failed), got {y[bad[0]]} at row {bad[0]}."
-        )
-    return y
 
 
 def _alarms(s: Snapshot, y: FloatArray, n_crashes: int) -> tuple[Alarm, ...]:

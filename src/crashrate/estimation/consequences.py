@@ -6,14 +6,12 @@ and the surrogate's danger: how deep a situation lies in the crash set is what c
 on most. Like the surrogate, it steers and predicts; the rounds correct it (`carried`).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from crashrate.crash_set.regression import regress
 from crashrate.crash_set.surrogate import Prior, Surrogate, fit_surrogate
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.view import Moments, Standardiser, View
+from crashrate.estimation.view import Moments, Standardiser, View, normalised
 from crashrate.variables import BoolArray, FloatArray
 
 MAX_EVENTS = 300  # the latest: the cost of learning grows with the cube
@@ -32,41 +30,18 @@ CLASSIFIERS = (
 DEPTHS, REACHES = (0.5, 2.0), (1.5, 5.0)  # lengths of the regression, in danger and coordinates
 
 
-@dataclass(frozen=True)
-class _Features:
-    """The coordinates of consequences: the surrogate's own, and its danger.
-
-    Parameters
-    ----------
-    surrogate : Surrogate
-    standardise : Standardiser
-    center, scale : float
-        Of the danger, over the events seen.
-    """
-
-    surrogate: Surrogate
-    standardise: Standardiser
-    center: float = 0.0
-    scale: float = 1.0
-
-    def __call__(self, u: FloatArray) -> FloatArray:
-        """Of risk coordinates u (n, m): (n, m + 1)."""
-        z = self.standardise(u)
-        danger = self.surrogate.predict(z).danger
-        return np.column_stack([z, (danger - self.center) / self.scale])
-
-
 def expect(
     view: View, labels: Labels, surrogate: Surrogate, standardise: Standardiser
 ) -> tuple[Moments, ...]:
     """Moments of each consequence at the draws of `view`."""
     events = np.flatnonzero(labels.y == 1)[-MAX_EVENTS:]
     near = np.flatnonzero(view.h > LIKELY)
-    if not len(events):
-        return tuple(_moments(view, *_constant(labels.z[events, k])) for k in range(labels.n_z))
-    raw = _Features(surrogate, standardise)(labels.u[events])[:, -1]
-    features = _Features(surrogate, standardise, float(raw.mean()), float(raw.std()) + 1e-6)
-    seen, asked = features(labels.u[events]), features(view.pool.u[near])
+    seen, asked = (standardise(u) for u in (labels.u[events], view.pool.u[near]))
+    depth = surrogate.predict(asked).danger
+    likely = normalised((view.weights * view.h)[near])
+    scale = float(np.sqrt(likely @ depth**2)) + 1e-6  # of the events that traffic brings
+    seen = _with(seen, surrogate.predict(seen).danger / scale)
+    asked = _with(asked, depth / scale)
     found = []
     for z in labels.z[events].T:
         mean, noise = (np.full(len(view.h), v) for v in _constant(z))
@@ -75,10 +50,16 @@ def expect(
     return tuple(found)
 
 
+def _with(u: FloatArray, depth: FloatArray) -> FloatArray:
+    """Coordinates (n, m) and depth (n,); what lies far in the crash set differs by little more."""
+    return np.column_stack([u, np.arcsinh(depth)])
+
+
 def _moments(view: View, mean: FloatArray | float, noise: FloatArray | float) -> Moments:
     """Of z, which is 0 without the event: h g and h (g² + s²)."""
     g = np.clip(mean, DOUBT, 1 - DOUBT)
-    s2 = np.minimum(noise, g * (1 - g))  # no number in [0, 1] of mean g varies more
+    most = g * (1 - g)  # no number in [0, 1] of mean g varies more
+    s2 = np.clip(noise, DOUBT * most, most)
     return Moments(view.h * g, view.h * (g * g + s2))
 
 
@@ -88,16 +69,16 @@ def _constant(z: FloatArray) -> tuple[float, float]:
     return g, g * (1 - g)
 
 
-def _learned(
-    seen: FloatArray, z: FloatArray, asked: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _learned(seen: FloatArray, z: FloatArray, asked: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean and variance of z at features `asked` (k, m), from values z (n,) at `seen` (n, m)."""
     if np.all((z == 0) | (z == 1)):
         mean = _classified(seen, z == 1, asked)
         return mean, mean * (1 - mean)
     m = seen.shape[1] - 1
     lengths = tuple(
-        np.append(np.full(m, reach * np.sqrt(m / 3)), depth) for reach in REACHES for depth in DEPTHS
+        np.append(np.full(m, reach * np.sqrt(m / 3)), depth)
+        for reach in REACHES
+        for depth in DEPTHS
     )
     return regress(seen, z, lengths).predict(asked)
 

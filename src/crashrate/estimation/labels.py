@@ -85,7 +85,7 @@ class Labels:
     @property
     def n_z(self) -> int:
         """Number of consequences."""
-        return self.z.shape[1]
+        return int(self.z.shape[1])
 
     @property
     def known(self) -> BoolArray:

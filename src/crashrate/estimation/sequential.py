@@ -349,9 +349,7 @@ def _target(
     return aimed.mean, aimed.interval
 
 
-def _narrow(
-    problem: Problem, state: State, estimate: float, around: tuple[float, float]
-) -> bool:
+def _narrow(problem: Problem, state: State, estimate: float, around: tuple[float, float]) -> bool:
     """Whether an interval around the estimate meets the target in force."""
     half = (around[1] - around[0]) / 2
     return bool(estimate > 0 and half <= problem.target_at(state.labels.n) * estimate)

@@ -5,6 +5,7 @@ receives the outcomes of those situations, and returns its last `Snapshot`. All 
 so that a campaign is a function of (configuration, seed, outcomes) and resume is replay.
 """
 
+import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from numbers import Integral, Real
@@ -180,3 +181,20 @@ class Query:
 
 
 Method = Callable[[Problem], Generator[Query, FloatArray, Snapshot]]
+
+
+def unknown(problem: Problem, s: Snapshot, z: FloatArray) -> tuple[Consequence, ...]:
+    """The consequences z (n, K) without an estimate: at most the event's upper end."""
+    return tuple(
+        Consequence(
+            name=name,
+            mean=0.0 if s.probability == 0 else math.nan,
+            interval=(0.0, s.interval[1]),
+            standard_error=math.inf,
+            n_eff=0.0,
+            n_carrying=int(np.count_nonzero(column > 0)),
+            largest_weight_share=1.0,
+            aimed=name == problem.aim,
+        )
+        for name, column in zip(problem.consequences, z.T, strict=True)
+    )

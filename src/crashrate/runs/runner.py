@@ -16,8 +16,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from crashrate.errors import SimulationError, StoreError
-from crashrate.estimation.campaign import LEARNING, Campaign
+from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.estimate import Estimate, json_ready
+from crashrate.estimation.methods import LEARNING
 from crashrate.estimation.strategy import Problem
 from crashrate.events import EventTable
 from crashrate.recordings.check import Check

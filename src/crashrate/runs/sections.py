@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from crashrate.errors import InvalidInputError, ScenarioError
-from crashrate.estimation.campaign import GOALS, METHODS
+from crashrate.estimation.methods import GOALS, METHODS
 from crashrate.estimation.strategy import Problem
 from crashrate.expressions import Expression
 from crashrate.recordings.severity import FACTOR, LEVELS, Severity
