@@ -24,7 +24,7 @@ def seen(toy_view):
     return replace(view, consequences=(held,)), y, y * risk
 
 
-def redrawn(view, y, mean, n=6, times=TIMES, trust=False):
+def redrawn(view, y, mean, *, n=6, times=TIMES, trust=False):
     rng, estimates = np.random.default_rng(1), []
     for _ in range(times):
         drawn = to_estimate(view, n, rng)
@@ -54,7 +54,7 @@ def test_the_predicted_variance_is_seen_where_the_expectations_are_right(toy_vie
     held = Moments(view.h * g, view.h * (g * g + g * (1 - g) / 2))
     view = replace(view, consequences=(held,))
     rng, moved = np.random.default_rng(4), []
-    for _ in range(6000):
+    for _ in range(2500):
         drawn = to_estimate(view, 6, rng)
         y = rng.random(len(g)) < view.h
         z = y * (g + np.sqrt(g * (1 - g) / 2) * rng.choice([-1, 1], len(g)))
@@ -62,7 +62,7 @@ def test_the_predicted_variance_is_seen_where_the_expectations_are_right(toy_vie
         moved.append(got.estimate - got.predicted)
     part = view.weights * held.mean
     pool = float(part @ part) - part.sum() ** 2 / view.pool.n_drawn
-    assert np.var(moved) == pytest.approx(got.variance - pool, rel=0.12)
+    assert np.var(moved) == pytest.approx(got.variance - pool, rel=0.15)
 
 
 def test_failed_simulations_bracket_what_they_may_have_been(seen):
