@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -144,6 +145,38 @@ def test_failed_simulations_widen_as_they_do_for_the_event(go):
     assert Alarm.SIMULATIONS_FAILED in got.alarms
     for c in got.consequences:
         assert c.interval[0] <= TRUTHS[c.name] <= c.interval[1]
+
+
+def test_without_an_order_they_are_estimated_too(go, check_coverage):
+    found = [go(seed=seed, risk=None, relative_half_width=0.3).consequences for seed in range(4)]
+    for k, name in enumerate(NAMES):
+        check_coverage([f[k].interval for f in found], TRUTHS[name])
+
+
+def test_with_members_the_average_is_meant(go, cases, small, check_coverage):  # noqa: ARG001
+    one = cases.standard_normal(2)
+    wide = replace(one, covariances=1.2**2 * one.covariances)
+    both = replace(one, members=(one, wide))
+
+    def depth(sd):
+        density = lambda s: min((s - LEVEL) / DEPTH, 1.0) * norm.pdf(s, scale=sd)  # noqa: E731
+        return quad(density, LEVEL, LEVEL + DEPTH)[0] + norm.sf(LEVEL + DEPTH, scale=sd)
+
+    found = [
+        estimate(
+            simulator(seed),
+            both,
+            risk=cases.increasing(2),
+            consequences=NAMES,
+            aim="depth",
+            relative_half_width=0.2,
+            max_calls=300,
+            seed=seed,
+        )
+        for seed in range(4)
+    ]
+    assert all(len(e.traffic_range.probabilities) == 2 for e in found)
+    check_coverage([e.consequences[0].interval for e in found], (depth(1.0) + depth(1.2)) / 2)
 
 
 def test_a_mapping_is_told_like_an_array(go):

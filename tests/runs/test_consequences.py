@@ -15,6 +15,7 @@ from crashrate.runs.record import load_run
 from crashrate.runs.runner import run, status
 from crashrate.runs.scenario import Scenario
 from crashrate.runs.store import Batch, RunStore
+from crashrate.runs.vehicle import simulator_of
 
 DECLARED = '[outcome]\nevent = "near miss"\nconsequences = ["injury", "severe"]\n'
 
@@ -171,6 +172,14 @@ def test_a_mapping_without_a_declaration_says_where_to_declare(go, tmp_path, sce
 def test_what_is_wrong_in_a_scenario_is_refused(scenario, more, says):
     with pytest.raises(ScenarioError, match=says):
         Scenario.from_text(scenario.text + more)
+
+
+def test_the_plant_of_the_study_tells_none(scenario):
+    text = scenario.text.replace('"python"', '"acc-aeb"').replace(
+        'function = "small_vehicle:crashes"\n', ""
+    )
+    with pytest.raises(ScenarioError, match="'acc-aeb' tells crashes alone"):
+        simulator_of(Scenario.from_text(text + DECLARED))
 
 
 def test_an_aim_must_be_declared(scenario, declared, go, tmp_path):
