@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import betaincinv
 
-from crashrate.estimation.consequence import MIN_CARRYING, MIN_N_EFF, Consequence
+from crashrate.estimation.consequence import MIN_CARRYING, Consequence
 from crashrate.estimation.rounds import Round, at_least, combine
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.view import Moments, View
@@ -107,7 +107,7 @@ def together(
     c = combine([f.round for f in found], confidence)
     n_eff = (c.estimate / c.standard_error) ** 2
     low, high = c.lower, c.upper
-    if n_eff < MIN_N_EFF or n_carrying < MIN_CARRYING:
+    if n_carrying < MIN_CARRYING:
         # a classifier that hardly saw it foretells hardly any variance: its word is not taken
         share = _share(found, confidence)
         low, high = min(low, event[0] * share[0]), max(high, event[1] * share[1])

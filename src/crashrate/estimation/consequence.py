@@ -60,7 +60,8 @@ class Consequence:
         low, high = self.interval
         if not self.determined:
             seen = f"{self.n_carrying} simulator run{'s' * (self.n_carrying != 1)} had it"
-            return f"E({self.name}) ≤ {high:.1e} per {per}: not determined, {seen}"
+            bracket = f"≤ {high:.1e}" if low == 0 else f"between {low:.1e} and {high:.1e}"
+            return f"E({self.name}) {bracket} per {per}: not determined, {seen}"
         relative = self.relative_half_width
         about = f" (± {100 * relative:.0f} %)" if relative <= 1 else ""
         return f"E({self.name}) = {self.mean:.1e} per {per}, [{low:.1e}, {high:.1e}]{about}"
