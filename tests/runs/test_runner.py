@@ -221,7 +221,7 @@ def test_method_that_splits_its_budget_cannot_go_on(go, tmp_path, monkeypatch):
 
 def test_target_and_budget_default_to_the_scenario(scenario, traffic, tmp_path):
     run(scenario, traffic, tmp_path, seed=3, method="small")
-    assert status(tmp_path)["target"] == {"relative_half_width": 0.3, "max_calls": 60}
+    assert status(tmp_path)["target"] == {"relative_half_width": 0.3, "max_calls": 60, "aim": None}
 
 
 @pytest.mark.parametrize(
