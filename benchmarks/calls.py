@@ -25,7 +25,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread a process; read
 
 import peers
 from calls_table import table
-from crashrate.estimation.campaign import METHODS, Campaign
+from crashrate.estimation.campaign import Campaign
+from crashrate.estimation.methods import METHODS
 from peers.limit_state import Answer, LimitState
 from peers.limits import BudgetError, at_most
 from problems import PROBLEMS, Benchmark, Outcomes, Rows

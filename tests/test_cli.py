@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from crashrate import datasets
 from crashrate.cli import Method, app
 from crashrate.errors import InvalidInputError
-from crashrate.estimation import campaign
+from crashrate.estimation import methods
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.strategy import Query, Snapshot
 from crashrate.runs import demo
@@ -63,7 +63,7 @@ def three_batches(problem):
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setitem(campaign.METHODS, "sequential", three_batches)
+    monkeypatch.setitem(methods.METHODS, "sequential", three_batches)
 
 
 @pytest.fixture
@@ -185,7 +185,7 @@ METHODS = ("sequential", "huang2017", "crude", "cross-entropy")
 
 
 def test_every_method_has_a_name_on_the_command_line():
-    assert tuple(method.value for method in Method) == METHODS == tuple(campaign.METHODS)
+    assert tuple(method.value for method in Method) == METHODS == tuple(methods.METHODS)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -545,3 +545,21 @@ def test_a_simulator_that_only_fails_is_an_error(tmp_path, monkeypatch):
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 1
     assert "all 20 simulations failed" in result.output
+
+
+def test_consequences_are_declared_aimed_at_and_printed(small, quick, monkeypatch):  # noqa: ARG001
+    (scenario,) = small.glob("small.toml")
+    scenario.write_text(scenario.read_text() + '[outcome]\nconsequences = ["injury"]\n')
+    (vehicle,) = small.glob("vehicle_*.py")
+    vehicle.write_text(
+        "def crashes(x):\n"
+        "    crash = x[:, 0] > 1\n"
+        "    return {'crash': crash, 'injury': crash * 0.5}\n"
+    )
+    told = small_run(small, "--aim", "injury")
+    assert told.exit_code == 3, told.stderr
+    lines = told.stdout.splitlines()
+    assert lines[0].startswith("P(crash) = ")
+    assert lines[1].startswith("E(injury) ≤ 3.0e-01 per lane change: not determined")
+    assert load_run(small / "run").result["consequences"][0]["aimed"]
+    assert "expected one of" in small_run(small, "--aim", "injuries").stderr

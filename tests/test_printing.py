@@ -2,11 +2,14 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from crashrate.printing import print_fit, print_selection
+from crashrate.estimation.consequence import Consequence
+from crashrate.estimation.strategy import Snapshot
+from crashrate.printing import print_fit, print_selection, standing
 from crashrate.traffic.model import TrafficModel
 
 
@@ -71,3 +74,24 @@ def test_the_kept_fit_shows_its_masses_its_prior_and_its_convergence(capsys):
 def test_a_prior_that_had_to_be_raised_is_warned_of(capsys):
     print_fit(model(prior_strength=100.0, promise=0.0))
     assert "Warning: the prior had to be raised from 1 to 100 events" in capsys.readouterr().err
+
+
+def test_progress_follows_what_is_aimed_at():
+    injury = Consequence(
+        name="injury",
+        mean=1e-7,
+        interval=(0.8e-7, 1.2e-7),
+        standard_error=1e-8,
+        n_eff=100.0,
+        n_carrying=30,
+        largest_weight_share=0.1,
+    )
+    for aimed, says in ((False, "P = 1.0e-06 ± 50 %"), (True, "E(injury) = 1.0e-07 ± 20 %")):
+        snapshot = Snapshot(
+            probability=1e-6,
+            interval=(5e-7, 1.5e-6),
+            consequences=(replace(injury, aimed=aimed),),
+            phase="estimate",
+        )
+        campaign = SimpleNamespace(snapshot=snapshot, n_calls=80, goal="probability")
+        assert standing(campaign) == f"80 simulator runs, estimate: {says}"

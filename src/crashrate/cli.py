@@ -253,14 +253,14 @@ def run(
         ),
     ] = None,
     relative_half_width: Annotated[
-        float | None,
-        typer.Option(callback=_half_width, help="Target; the scenario's where not given."),
+        float | None, typer.Option(callback=_half_width, help="Target; the scenario's by default.")
     ] = None,
-    max_calls: Annotated[
-        int | None, typer.Option(min=1, help="Budget; the scenario's where not given.")
-    ] = None,
+    max_calls: Annotated[int | None, typer.Option(min=1, help="Budget, likewise.")] = None,
     goal: Annotated[
         Goal | None, typer.Option(help="Target an estimate, or bounds if the risk order holds.")
+    ] = None,
+    aim: Annotated[
+        str | None, typer.Option(help="Target a consequence; the scenario's where not given.")
     ] = None,
     replay_calls: Annotated[
         int,
@@ -303,6 +303,7 @@ def run(
             relative_half_width=relative_half_width,
             max_calls=max_calls,
             goal=goal and goal.value,
+            aim=aim,
             same_vehicle=same_vehicle,
             events=events,
             replay_calls=replay_calls,

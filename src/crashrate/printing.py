@@ -35,7 +35,7 @@ def print_result(result: dict[str, Any], output: Format) -> None:
         return
     from crashrate.estimation.alarms import StopReason
 
-    typer.echo(result["sentence"])
+    _print_answers(result)
     if audit := result.get("order_audit"):
         typer.echo(audit["sentence"])
     if traffic_range := result.get("traffic_range"):
@@ -55,6 +55,13 @@ def print_result(result: dict[str, Any], output: Format) -> None:
         typer.echo("The same command with a larger --max-calls goes on from here.", err=True)
     for alarm in result["alarms"]:
         typer.echo(f"Alarm: {alarm['message']}.", err=True)
+
+
+def _print_answers(result: Mapping[str, Any]) -> None:
+    """The event's probability, and below it what it leads to."""
+    typer.echo(result["sentence"])
+    for consequence in result.get("consequences", ()):
+        typer.echo(consequence["sentence"])
 
 
 def print_fit(model: "TrafficModel") -> None:
@@ -169,8 +176,10 @@ def standing(campaign: "Campaign") -> str:
     if campaign.goal == "bounds":
         low, high = snapshot.bounds
         return f"{text}: {low:.1e} ≤ P ≤ {high:.1e}" if low > 0 else text
-    if not snapshot.probability > 0:
+    aimed = next((c for c in snapshot.consequences if c.aimed), None)
+    number = snapshot.probability if aimed is None else aimed.mean
+    if not number > 0:
         return text
-    low, high = snapshot.interval
-    relative = (high - low) / 2 / snapshot.probability
-    return f"{text}: P = {snapshot.probability:.1e} ± {100 * relative:.0f} %"
+    low, high = snapshot.interval if aimed is None else aimed.interval
+    relative, name = (high - low) / 2 / number, "P" if aimed is None else f"E({aimed.name})"
+    return f"{text}: {name} = {number:.1e} ± {100 * relative:.0f} %"

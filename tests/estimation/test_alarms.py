@@ -9,6 +9,7 @@ from crashrate.crash_set.order import RiskOrder
 from crashrate.estimation import sequential
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import _alarms
+from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import Round, combine
 from crashrate.estimation.strategy import Problem, Snapshot
@@ -83,6 +84,15 @@ def test_no_order(cases):
 
 
 SEEN = Snapshot(probability=0.1)
+INJURY = Consequence(
+    name="injury",
+    mean=0.05,
+    interval=(0.03, 0.07),
+    standard_error=0.01,
+    n_eff=25.0,
+    n_carrying=10,
+    largest_weight_share=0.1,
+)
 
 
 @pytest.mark.parametrize(
@@ -97,6 +107,19 @@ SEEN = Snapshot(probability=0.1)
         (replace(SEEN, stop_reason=StopReason.TARGET_MET), 10, 0, ()),
         (Snapshot(probability=0.95), 10, 0, (Alarm.NEARLY_ALL_CRASH,)),
         (Snapshot(probability=0.6), 10, 0, ()),
+        (replace(SEEN, consequences=(INJURY,)), 10, 0, ()),
+        (
+            replace(SEEN, consequences=(INJURY, replace(INJURY, n_carrying=9))),
+            10,
+            0,
+            (Alarm.CONSEQUENCE_UNDETERMINED,),
+        ),
+        (
+            replace(SEEN, consequences=(replace(INJURY, n_eff=4.9), INJURY)),
+            10,
+            0,
+            (Alarm.CONSEQUENCE_UNDETERMINED,),
+        ),
     ],
 )
 def test_alarms_of_the_outcomes(snapshot, crashes, failed, expected):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from crashrate.estimation.alarms import StopReason
+from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.runs.record import RunRecord
 from crashrate.runs.scenario import Scenario
@@ -117,6 +118,24 @@ def make_record(text=CUT_IN, *, estimate=None, danger=None, provenance=None, n=2
 def default_danger(x):
     """Monotone in (v_lead down, closing speed up, range down)."""
     return x[:, 2] / x[:, 1] - 0.15 * x[:, 0] - 0.1 / x[:, 1] + 2
+
+
+@pytest.fixture
+def consequences():
+    injury = Consequence(
+        name="injury",
+        mean=9.88e-7,
+        interval=(8.9e-7, 1.1e-6),
+        standard_error=5e-8,
+        n_eff=390.0,
+        n_carrying=60,
+        largest_weight_share=0.02,
+        aimed=True,
+    )
+    severe = dataclasses.replace(
+        injury, name="severe", interval=(0.0, 3e-7), n_eff=0.5, n_carrying=1, aimed=False
+    )
+    return injury, severe
 
 
 @pytest.fixture

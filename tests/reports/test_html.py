@@ -65,6 +65,18 @@ def test_the_page_says_the_numbers_of_the_result(build):
         assert said in page.text
 
 
+def test_consequences_stand_near_the_answer(build, estimate, consequences):
+    page = Page(render_report(build(estimate=estimate(consequences=consequences))))
+    for said in (
+        "ConsequenceExpected per lane change",
+        "injury (aimed at)9.9 × 10⁻⁷",
+        "(± 11 %)50 %60",
+        "severenot determined",
+    ):
+        assert said in page.text
+    assert "Expected per" not in Page(render_report(build())).text
+
+
 def test_bounds_are_the_answer_where_they_were_asked_for(build, estimate):
     e = estimate(goal="bounds", probability=math.nan, interval=(0.0, 1.0), history=())
     page = Page(render_report(build(estimate=e)))

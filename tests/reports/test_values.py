@@ -38,11 +38,13 @@ def test_percentages_and_counts():
     assert count(157757) == "157,757"
 
 
-def test_the_estimate_comes_back_from_json(estimate):
+def test_the_estimate_comes_back_from_json(estimate, consequences):
     e = estimate(alarms=(Alarm.NO_ORDER,))
     back = estimate_of(json.loads(json.dumps(e.to_dict())))
     assert back.to_dict() == e.to_dict()
     assert back.sentence() == e.sentence()
+    led = estimate(consequences=consequences)
+    assert estimate_of(json.loads(json.dumps(led.to_dict()))).consequences == consequences
     nothing = estimate(probability=math.nan, standard_error=math.inf, history=())
     assert math.isnan(estimate_of(nothing.to_dict()).probability)
 

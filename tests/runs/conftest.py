@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crashrate.estimation import campaign
+from crashrate.estimation import methods
 from crashrate.estimation.alarms import StopReason
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.runs.scenario import Scenario
@@ -54,7 +54,7 @@ def adaptive_method(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
 
 @pytest.fixture(autouse=True)
 def small_method(monkeypatch):
-    monkeypatch.setitem(campaign.METHODS, "small", adaptive_method)
+    monkeypatch.setitem(methods.METHODS, "small", adaptive_method)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crashrate.errors import InvalidInputError, SimulationError, StoreError
-from crashrate.estimation import campaign
+from crashrate.estimation import methods
 from crashrate.estimation.campaign import Campaign
 from crashrate.runs import vehicle as vehicle_module
 from crashrate.runs.record import load_run
@@ -209,10 +209,10 @@ def test_tightened_target_goes_on(go, tmp_path, vehicle):
 
 
 def test_method_that_splits_its_budget_cannot_go_on(go, tmp_path, monkeypatch):
-    def splitting(problem, steps=campaign.METHODS["small"]):
+    def splitting(problem, steps=methods.METHODS["small"]):
         return steps(replace(problem, seed=problem.max_calls))
 
-    monkeypatch.setitem(campaign.METHODS, "small", splitting)
+    monkeypatch.setitem(methods.METHODS, "small", splitting)
     go(tmp_path, max_calls=20)
     with pytest.raises(StoreError, match="aims at ± 1 % in 20 simulator runs; with the method"):
         go(tmp_path)
@@ -221,7 +221,7 @@ def test_method_that_splits_its_budget_cannot_go_on(go, tmp_path, monkeypatch):
 
 def test_target_and_budget_default_to_the_scenario(scenario, traffic, tmp_path):
     run(scenario, traffic, tmp_path, seed=3, method="small")
-    assert status(tmp_path)["target"] == {"relative_half_width": 0.3, "max_calls": 60}
+    assert status(tmp_path)["target"] == {"relative_half_width": 0.3, "max_calls": 60, "aim": None}
 
 
 @pytest.mark.parametrize(

@@ -155,3 +155,16 @@ def test_module_hidden_by_another_of_its_name_is_refused(folder):
     (folder / "json.py").write_text("def crashes(x): return x[:, 0] > 0\n")
     with pytest.raises(InvalidInputError, match="the name 'json' is taken by"):
         PythonFunction("json:crashes", folder).load()
+
+
+def test_consequences_may_be_told_as_columns_or_by_name(folder):
+    (folder / "more_of_user_simulator.py").write_text(
+        "import numpy as np\n"
+        "def columns(x):\n    return np.column_stack([x[:, 0] > 0, np.clip(x[:, 0], 0, 1)])\n"
+        "def named(x):\n    return {'injury': np.clip(x[:, 0], 0, 1), 'crash': x[:, 0] > 0}\n"
+    )
+    for name in ("columns", "named"):
+        simulate = PythonFunction(f"more_of_user_simulator:{name}", folder, ("injury",))
+        np.testing.assert_array_equal(simulate([[0.5], [-1.0]]), [[1.0, 0.5], [0.0, 0.0]])
+    with pytest.raises(SimulationError, match="columns the event, injury, got shape"):
+        PythonFunction("user_simulator:crashes", folder, ("injury",))([[1.0]])

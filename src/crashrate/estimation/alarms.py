@@ -69,6 +69,10 @@ class Alarm(StrEnum):
         "no risk order is in use: crash regions that no run came near are taken as safe, and "
         "the bounds say nothing"
     )
+    CONSEQUENCE_UNDETERMINED = (
+        "too few simulator runs had one of the consequences, or a few of them carry most of it: "
+        "its interval is as wide as the draws alone leave it; aim at it to know more"
+    )
     ENCOUNTERS_DISAGREE = (
         "random encounters crash far more often than the estimate allows: the interval was widened "
         "to what they show"

@@ -1,7 +1,7 @@
 """The campaign: ask for situations, tell their outcomes, estimate. The one class with state."""
 
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,60 +9,18 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.crash_set.order import RiskOrder
-from crashrate.errors import CallOrderError, InvalidInputError
+from crashrate.errors import CallOrderError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, HistoryPoint
-from crashrate.estimation.strategy import Method, Problem, Query, Snapshot
+from crashrate.estimation.methods import TELL_MEMBERS, declared, method_for
+from crashrate.estimation.strategy import Problem, Query, Snapshot, unknown
+from crashrate.outcomes import Told, told_table
 from crashrate.traffic.model import TrafficModel
-from crashrate.variables import FloatArray, as_rows, nearest
+from crashrate.variables import FloatArray, as_rows
 
 MIN_CRASHES = 10
 NEARLY_ALL = 0.9  # a probability above it is rather an outcome turned round
 MAX_FAILURES = 20  # a simulator that has failed as often and never run will not run
-
-
-def _sequential(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.sequential import sequential
-
-    return sequential(problem)
-
-
-def _huang2017(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.huang2017 import huang2017
-
-    return huang2017(problem)
-
-
-def _bracket(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.bracket import bracket
-
-    return bracket(problem)
-
-
-def _crude(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.crude_monte_carlo import crude_monte_carlo
-
-    return crude_monte_carlo(problem)
-
-
-def _cross_entropy(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
-    from crashrate.estimation.cross_entropy import cross_entropy
-
-    return cross_entropy(problem)
-
-
-LEARNING = ("sequential",)  # methods that end with a learned crash set, a `Belief`
-METHODS: Mapping[str, Method] = {
-    "sequential": _sequential,
-    "huang2017": _huang2017,
-    "crude": _crude,
-    "cross-entropy": _cross_entropy,
-}
-GOALS: Mapping[str, Mapping[str, Method]] = {
-    "probability": METHODS,
-    "bounds": {"sequential": _bracket},
-}
-TELL_MEMBERS = ("sequential",)  # that say what each member of a traffic model makes of the runs
 
 
 class Campaign:
@@ -99,6 +57,13 @@ class Campaign:
         Half-widths that a resumed campaign aimed at before, each until so many simulator runs.
     earlier_budgets : sequence of (int, int)
         Its budgets before, likewise.
+    consequences : sequence of str
+        Names of numbers in [0, 1] that a run tells beside the event and that are 0 where it did not
+        happen: the expected injury, or whether a narrower event happened too. The estimate gives
+        the expectation of each. Only by the method "sequential", with the goal "probability".
+    aim : str, optional
+        The consequence that the target is for, and that the runs are chosen to estimate; the
+        event's probability where not given.
 
     Raises
     ------
@@ -127,8 +92,11 @@ class Campaign:
         batch_size: int = 10,
         earlier_targets: Sequence[tuple[float, int]] = (),
         earlier_budgets: Sequence[tuple[int, int]] = (),
+        consequences: Sequence[str] = (),
+        aim: str | None = None,
     ) -> None:
-        steps = _method(method, goal, ordered=risk is not None)
+        steps = method_for(method, goal, ordered=risk is not None)
+        names = declared(consequences, aim, method, goal)
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units
@@ -144,13 +112,15 @@ class Campaign:
             seed=seed,
             earlier_targets=tuple((float(t), int(n)) for t, n in earlier_targets),
             earlier_budgets=tuple((int(b), int(n)) for b, n in earlier_budgets),
+            consequences=names,
+            aim=aim,
         )
         self._method, self._goal = method, goal
         self._steps = steps(self._problem)
         self._pending: FloatArray | None = None
         self._snapshot = Snapshot()
         self._asked: list[FloatArray] = []
-        self._told: list[FloatArray] = []
+        self._told: list[FloatArray] = []  # tables (n, 1 + K)
         self._history: list[HistoryPoint] = []
         self._taken = False
 
@@ -193,7 +163,13 @@ class Campaign:
     @property
     def outcomes(self) -> FloatArray:
         """Their outcomes, shape (n_calls,): 1 crash, 0 safe, NaN failed."""
-        return np.concatenate([np.empty(0), *self._told])
+        return np.concatenate([np.empty(0), *(table[:, 0] for table in self._told)])
+
+    @property
+    def consequences(self) -> FloatArray:
+        """Their consequences, shape (n_calls, K), NaN where the simulation failed."""
+        none = np.empty((0, len(self._problem.consequences)))
+        return np.concatenate([none, *(table[:, 1:] for table in self._told)])
 
     def ask(self) -> FloatArray:
         """The next situations to simulate, shape (n, d) in the traffic model's variables.
@@ -217,32 +193,37 @@ class Campaign:
         self._taken = True
         return self._pending.copy()
 
-    def tell(self, outcomes: npt.ArrayLike) -> None:
+    def tell(self, outcomes: Told) -> None:
         """Take the outcomes of the situations asked for: True or 1 a crash, False or 0 safe.
 
         Parameters
         ----------
         outcomes : array_like, shape (n,)
-            In the order of `ask`. NaN says that the simulation failed: never "safe".
+            In the order of `ask`. NaN says that the simulation failed: never "safe". With K
+            consequences, shape (n, 1 + K), the outcomes in the first column and then each
+            consequence in the order declared; or a mapping of names to arrays (n,), whose one key
+            that names no consequence is the event's.
 
         Raises
         ------
         CallOrderError
             If nothing was asked.
         InvalidInputError
-            If there is not one outcome per situation, or one is not 0, 1 or NaN.
+            If there is not one outcome per situation, or one is not 0, 1 or NaN; or a consequence
+            is not in [0, 1], or above 0 where the event did not happen.
         """
         if self._pending is None or not self._taken:
             raise CallOrderError("tell: nothing was asked; call campaign.ask() first.")
-        y = _outcomes(outcomes, len(self._pending))
+        n, names = len(self._pending), self._problem.consequences
+        table = told_table(outcomes, n, names)
         self._asked.append(self._pending)
-        self._told.append(y)
+        self._told.append(table)
         self._taken = False
         if self._hopeless():
             self._pending = None
             self._snapshot = replace(self._snapshot, stop_reason=StopReason.ALL_FAILED)
         else:
-            self._advance(lambda: self._steps.send(y))
+            self._advance(lambda: self._steps.send(table if names else table[:, 0]))
         self._history.append(self._history_point())
 
     def estimate(self) -> Estimate:
@@ -269,6 +250,7 @@ class Campaign:
             traffic_range=s.traffic_range,
             goal=self._goal,
             order_audit=s.order_audit,
+            consequences=s.consequences or unknown(self._problem, s, self.consequences),
         )
 
     def crash_probability(self, x: npt.ArrayLike) -> FloatArray:
@@ -322,34 +304,6 @@ class Campaign:
         return HistoryPoint(self.n_calls, s.probability, *s.interval, s.phase)
 
 
-def _method(method: str, goal: str, *, ordered: bool) -> Method:
-    """The generator function that serves the goal by the method.
-
-    Raises
-    ------
-    InvalidInputError
-        If one of them is unknown, or the goal is out of the method's or the order's reach.
-    """
-    if method not in METHODS:
-        raise InvalidInputError(
-            f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
-        )
-    if goal not in GOALS:
-        raise InvalidInputError(
-            f"goal: expected a known one, got {goal!r}{nearest(goal, tuple(GOALS))}."
-        )
-    if method not in GOALS[goal]:
-        raise InvalidInputError(
-            f"goal: {goal!r} is served by the method {', '.join(GOALS[goal])}, got {method!r}."
-        )
-    if goal == "bounds" and not ordered:
-        raise InvalidInputError(
-            "goal: 'bounds' needs a risk order, for only through one do outcomes imply others; "
-            "declare it with risk={'v_lead': 'decreasing', …}, or ask for the goal 'probability'."
-        )
-    return GOALS[goal][method]
-
-
 def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
     """The law of z without members; a warning where there are some."""
     if not traffic.members:
@@ -363,26 +317,14 @@ def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
     return replace(traffic.modelled, members=())
 
 
-def _outcomes(outcomes: npt.ArrayLike, n: int) -> FloatArray:
-    y = np.asarray(outcomes, dtype=np.float64)
-    if y.shape != (n,):
-        raise InvalidInputError(
-            f"tell: expected {n} outcomes, one per situation asked for, got shape {y.shape}."
-        )
-    bad = np.flatnonzero(~(np.isnan(y) | (y == 0) | (y == 1)))
-    if len(bad):
-        raise InvalidInputError(
-            f"tell: expected True, False or NaN (failed), got {y[bad[0]]} at row {bad[0]}."
-        )
-    return y
-
-
 def _alarms(s: Snapshot, y: FloatArray, n_crashes: int) -> tuple[Alarm, ...]:
     found = list(s.alarms)
     if np.isnan(y).any():
         found.append(Alarm.SIMULATIONS_FAILED)
     if 0 < n_crashes < MIN_CRASHES and np.isfinite(s.probability):
         found.append(Alarm.TOO_FEW_CRASHES)
+    if not all(c.determined for c in s.consequences):
+        found.append(Alarm.CONSEQUENCE_UNDETERMINED)
     if s.probability > NEARLY_ALL:
         found.append(Alarm.NEARLY_ALL_CRASH)
     if s.stop_reason is StopReason.BUDGET_ENDED:

@@ -37,7 +37,8 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
     while labels.n < problem.max_calls:
         x = encounter(problem, rng, labels.n)
         y = yield Query(x, _nothing(problem, labels, seen))
-        labels, seen = labels.add(x, y), seen + Encounters.of(y)
+        labels = labels.add(x, y)
+        seen += Encounters.of(labels.y[-len(x) :])
         if seen.n_crashes:
             return labels
         x, far = far[: problem.batch_size], far[problem.batch_size :]
@@ -45,7 +46,7 @@ def crude(problem: Problem, labels: Labels) -> Generator[Query, FloatArray, Labe
         if len(x):
             y = yield Query(x, _nothing(problem, labels, seen))
             labels = labels.add(x, y)
-            if (y == 1).any():
+            if (labels.y[-len(x) :] == 1).any():
                 return labels
     return replace(_nothing(problem, labels, seen), stop_reason=StopReason.BUDGET_ENDED)
 

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.traffic_range import TrafficRange
 
@@ -61,6 +62,8 @@ class Estimate:
         no interval (0, 1): the answer is `bounds`, if the risk order holds.
     order_audit : OrderAudit or None
         How much of what the order implies can be wrong; at the end of a campaign for bounds.
+    consequences : tuple of Consequence
+        Expectations per encounter of the declared consequences, in their order.
     """
 
     probability: float
@@ -82,6 +85,7 @@ class Estimate:
     traffic_range: TrafficRange | None = None
     goal: str = "probability"
     order_audit: OrderAudit | None = None
+    consequences: tuple[Consequence, ...] = ()
 
     @property
     def bounds_factor(self) -> float:
@@ -161,8 +165,11 @@ class Estimate:
             return ""
         return f"; crude Monte Carlo would need {in_words(calls)}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """The estimate as JSON-ready values; numbers that are not finite become None."""
+    def to_dict(self, per: str = "lane change") -> dict[str, Any]:
+        """The estimate as JSON-ready values; numbers that are not finite become None.
+
+        `per` names what the consequences' sentences count.
+        """
         record = asdict(self) | {
             "schema": SCHEMA,
             "relative_half_width": self.relative_half_width,
@@ -173,6 +180,7 @@ class Estimate:
             "traffic_range": self.traffic_range and self.traffic_range.to_dict(),
             "bounds_factor": self.bounds_factor,
             "order_audit": self.order_audit and self.order_audit.to_dict(self.bounds),
+            "consequences": [c.to_dict(per) for c in self.consequences],
         }
         return {key: json_ready(value) for key, value in record.items()}
 

@@ -29,6 +29,8 @@ class Labels:
         Situations, their risk coordinates, outcomes: 1 crash, 0 safe, NaN failed.
     learned : MonotoneSet or None
         What the order implies; None where no order is claimed, or it was dropped.
+    z : ndarray, shape (n, K)
+        Their consequences, NaN where the simulation failed.
     """
 
     order: RiskOrder | None
@@ -36,6 +38,7 @@ class Labels:
     u: FloatArray
     y: FloatArray
     learned: MonotoneSet | None = field(repr=False)
+    z: FloatArray = field(default_factory=lambda: np.empty((0, 0)), repr=False)
 
     @classmethod
     def empty(cls, problem: Problem) -> Self:
@@ -43,14 +46,20 @@ class Labels:
         d = problem.traffic.n_variables
         m = d if problem.order is None else problem.order.n_coordinates
         learned = None if problem.order is None else MonotoneSet.empty(m)
-        return cls(problem.order, np.empty((0, d)), np.empty((0, m)), np.empty(0), learned)
+        z = np.empty((0, len(problem.consequences)))
+        return cls(problem.order, np.empty((0, d)), np.empty((0, m)), np.empty(0), learned, z)
 
     def coordinates(self, x: FloatArray) -> FloatArray:
         """Risk coordinates of `x` (n, d): danger grows in each where an order is claimed."""
         return x if self.order is None else self.order(x)
 
-    def add(self, x: FloatArray, y: FloatArray) -> Self:
-        """With more outcomes; a failed simulation implies nothing."""
+    def add(self, x: FloatArray, outcomes: FloatArray) -> Self:
+        """With more outcomes (n,), or outcomes and consequences (n, 1 + K).
+
+        A failed simulation implies nothing.
+        """
+        table = outcomes if outcomes.ndim == 2 else outcomes[:, None]
+        y, z = table[:, 0], table[:, 1:]
         u, known = self.coordinates(x), ~np.isnan(y)
         learned = self.learned
         if learned is not None:
@@ -60,6 +69,7 @@ class Labels:
             x=np.concatenate([self.x, x]),
             u=np.concatenate([self.u, u]),
             y=np.concatenate([self.y, y]),
+            z=np.concatenate([self.z, z]),
             learned=learned,
         )
 
@@ -71,6 +81,11 @@ class Labels:
     def n(self) -> int:
         """Simulator runs so far."""
         return len(self.y)
+
+    @property
+    def n_z(self) -> int:
+        """Number of consequences."""
+        return int(self.z.shape[1])
 
     @property
     def known(self) -> BoolArray:

@@ -8,6 +8,7 @@ al. 1992 §6.3). Given the past, E[e] = p whatever h is, as long as pr > 0 where
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtrit
@@ -16,6 +17,9 @@ from crashrate.estimation.selection import Drawn
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.view import View
 from crashrate.variables import FloatArray
+
+if TYPE_CHECKING:
+    from crashrate.estimation.carried import Carried
 
 # The ratios of scatter seen to scatter predicted are shrunk to 1 with the weight of this many
 # rounds, and draws.
@@ -74,6 +78,8 @@ class Round:
         Largest contribution of a single run.
     members : Sums or None
         The same under the traffic model's members; None where it has none.
+    consequences : tuple of Carried
+        What the same draws say of the event's consequences.
     """
 
     n_runs: int
@@ -86,6 +92,7 @@ class Round:
     squares: float
     largest: float
     members: Sums | None = None
+    consequences: tuple["Carried", ...] = ()
 
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
@@ -106,7 +113,7 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
         lowest=estimate + down - float(failing @ view.h),
         highest=estimate + up + float(failing @ (1 - view.h)),
         predicted=view.probability,
-        variance=float(_at_least(variance, view.probability)),
+        variance=float(at_least(variance, view.probability)),
         n_draws=n,
         squares=float(moved @ moved),
         largest=largest,
@@ -114,7 +121,8 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     )
 
 
-def _at_least(variance: Values, predicted: Values) -> FloatArray:
+def at_least(variance: Values, predicted: Values) -> FloatArray:
+    """`variance`, or that of the surest prediction allowed."""
     return np.maximum(variance, np.maximum((CERTAIN * np.asarray(predicted)) ** 2, TINY))
 
 
@@ -129,7 +137,7 @@ def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
     return Sums(
         estimates=predicted + moved @ drawn_ratios,
         predicted=predicted,
-        variances=_at_least(spread @ ratios**2 + pool, predicted),
+        variances=at_least(spread @ ratios**2 + pool, predicted),
         squares=moved**2 @ drawn_ratios**2,
     )
 

@@ -1,19 +1,18 @@
 """The easy call: a loop over a campaign's ask and tell."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
-
-import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.estimate import Estimate
+from crashrate.outcomes import Told
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
 
 def estimate(
-    simulate: Callable[[FloatArray], npt.ArrayLike],
+    simulate: Callable[[FloatArray], Told],
     traffic: TrafficModel,
     *,
     risk: Mapping[str, Any] | None = None,
@@ -24,6 +23,8 @@ def estimate(
     goal: str = "probability",
     batch_size: int = 10,
     seed: int = 0,
+    consequences: Sequence[str] = (),
+    aim: str | None = None,
     on_batch: Callable[[Campaign], None] | None = None,
 ) -> Estimate:
     """The probability that `simulate` crashes in traffic.
@@ -32,8 +33,11 @@ def estimate(
     ----------
     simulate : callable
         Takes situations of shape (n, d) in the traffic model's variables and returns n outcomes:
-        True or 1 a crash, False or 0 safe, NaN a failed simulation.
+        True or 1 a crash, False or 0 safe, NaN a failed simulation. With consequences as
+        `Campaign.tell` takes them.
     traffic, risk, relative_half_width, max_calls, confidence, method, goal, batch_size, seed
+        As of `Campaign`.
+    consequences, aim
         As of `Campaign`.
     on_batch : callable, optional
         Called with the campaign after every batch, for progress.
@@ -61,6 +65,8 @@ def estimate(
         method=method,
         goal=goal,
         batch_size=batch_size,
+        consequences=consequences,
+        aim=aim,
     )
     while not campaign.done:
         campaign.tell(simulate(campaign.ask()))

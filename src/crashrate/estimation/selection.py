@@ -98,10 +98,10 @@ def to_estimate(view: View, n: int, rng: np.random.Generator, towards: View | No
 
 
 def _estimating(view: View) -> FloatArray:
-    spread = normalised(view.spread)
+    spread = normalised(view.aimed_spread)
     likely = np.where(view.inner, 1.0, view.surrogate_h)
     parts = (
-        (SPREAD, view.spread),
+        (SPREAD, view.aimed_spread),
         (UNDECIDED_CRASH, view.weights * view.h * view.undecided),
         (UNDECIDED, view.weights * view.undecided),
         (AUDIT, np.where(view.inner | view.safe, view.weights * likely, 0.0)),

@@ -14,6 +14,9 @@ from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.belief import Belief
+from crashrate.estimation.carried import carry, together
+from crashrate.estimation.consequence import Consequence
+from crashrate.estimation.consequences import expect
 from crashrate.estimation.crude import crude
 from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
@@ -112,7 +115,7 @@ def _outvoted(problem: Problem, state: State) -> bool:
     if state.encounters is None or len(state.rounds) < MIN_ROUNDS:
         return False
     c = combine(state.rounds, problem.confidence)
-    narrow = _narrow(problem, state, c, (c.lower, c.upper))
+    narrow = _narrow(problem, state, *_target(problem, state, c, (c.lower, c.upper)))
     return narrow and state.encounters.speak_against(c.upper)
 
 
@@ -217,7 +220,11 @@ def _see(
 ) -> View:
     coordinates = state.labels.coordinates
     pool = draw_pool(proposal, problem.traffic, coordinates, N_POOL, rng, ensemble=problem.ensemble)
-    return see(pool, state.labels, surrogate, state.model.standardise)
+    view = see(pool, state.labels, surrogate, state.model.standardise)
+    if not problem.consequences:
+        return view
+    found = expect(view, state.labels, surrogate, state.model.standardise)
+    return replace(view, consequences=found, aim=problem.aim_index)
 
 
 def _aim(problem: Problem, state: State, view: View, rng: np.random.Generator) -> Density:
@@ -242,8 +249,11 @@ def _estimate(
         return labels, state.rounds
     snapshot = replace(snapshot, phase="estimate")
     labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
-    outcomes = labels.y[-len(rows) :][np.searchsorted(rows, drawn.rows)]
-    return labels, (*state.rounds, measure(view, drawn, outcomes))
+    told = labels.n - len(rows) + np.searchsorted(rows, drawn.rows)
+    found = measure(view, drawn, labels.y[told])
+    if problem.consequences:
+        found = replace(found, consequences=carry(view, drawn, labels.y[told], labels.z[told]))
+    return labels, (*state.rounds, found)
 
 
 def _simulate(
@@ -287,19 +297,42 @@ def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
         return replace(start, interval=seen, alarms=_alarms(problem, state, None, bounds))
     c = combine(rounds, problem.confidence)
     n_runs = sum(r.n_runs for r in rounds)
+    around = _interval(problem, state, c)
     return replace(
         start,
         probability=c.estimate,
-        interval=_interval(problem, state, c),
+        interval=around,
         standard_error=c.standard_error,
         n_eff=(c.estimate / c.standard_error) ** 2,
         largest_weight_share=c.largest_share,
         log_efficiency=log_efficiency(c, n_runs),
         traffic_range=c.members,
+        consequences=_consequences(problem, replace(state, rounds=rounds), c, around),
         alarms=_alarms(problem, state, c, bounds),
         phase="estimate",
         stop_reason=_stop(problem, state, c),
     )
+
+
+def _consequences(
+    problem: Problem, state: State, c: Combined, event: tuple[float, float]
+) -> tuple[Consequence, ...]:
+    """Each consequence, where `c` and the interval `event` are found for the event."""
+    found = tuple(
+        together(
+            name,
+            [r.consequences[k] for r in state.rounds],
+            int(np.count_nonzero(state.labels.z[:, k] > 0)),
+            event,
+            problem.confidence,
+            aimed=name == problem.aim,
+        )
+        for k, name in enumerate(problem.consequences)
+    )
+    if event[1] <= c.upper:
+        return found
+    # random encounters speak against the event's probability, and say no more of consequences
+    return tuple(replace(f, interval=(f.interval[0], event[1])) for f in found)
 
 
 def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float]:
@@ -310,15 +343,26 @@ def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float
 
 
 def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
-    if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, c, _interval(problem, state, c)):
+    aimed = _target(problem, state, c, _interval(problem, state, c))
+    if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, *aimed):
         return StopReason.TARGET_MET
     return StopReason.RUNNING
 
 
-def _narrow(problem: Problem, state: State, c: Combined, around: tuple[float, float]) -> bool:
+def _target(
+    problem: Problem, state: State, c: Combined, event: tuple[float, float]
+) -> tuple[float, tuple[float, float]]:
+    """The estimate that is aimed at and the interval around it: the event's, or a consequence's."""
+    if (k := problem.aim_index) is None:
+        return c.estimate, event
+    aimed = _consequences(problem, state, c, event)[k]
+    return aimed.mean, aimed.interval
+
+
+def _narrow(problem: Problem, state: State, estimate: float, around: tuple[float, float]) -> bool:
     """Whether an interval around the estimate meets the target in force."""
     half = (around[1] - around[0]) / 2
-    return bool(c.estimate > 0 and half <= problem.target_at(state.labels.n) * c.estimate)
+    return bool(estimate > 0 and half <= problem.target_at(state.labels.n) * estimate)
 
 
 def _alarms(

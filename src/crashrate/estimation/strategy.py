@@ -5,6 +5,7 @@ receives the outcomes of those situations, and returns its last `Snapshot`. All 
 so that a campaign is a function of (configuration, seed, outcomes) and resume is replay.
 """
 
+import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from numbers import Integral, Real
@@ -16,6 +17,7 @@ from crashrate.crash_set.monotone_set import MonotoneSet
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
@@ -61,6 +63,10 @@ class Problem:
     earlier_budgets : tuple of (int, int)
         Budgets that were in force before, each until so many simulator runs: what a campaign for
         bounds asks for last depends on where its budget ends.
+    consequences : tuple of str
+        Names of the numbers in [0, 1] that a run also tells, 0 where the event did not happen.
+    aim : str or None
+        The consequence whose expectation the target is for; None for the event itself.
     """
 
     traffic: TrafficModel
@@ -73,6 +79,8 @@ class Problem:
     ensemble: TrafficModel | None = None
     earlier_targets: tuple[tuple[float, int], ...] = ()
     earlier_budgets: tuple[tuple[int, int], ...] = ()
+    consequences: tuple[str, ...] = ()
+    aim: str | None = None
 
     def __post_init__(self) -> None:
         for name, kind in NUMBERS.items():
@@ -88,6 +96,11 @@ class Problem:
         for holds, name, expected in checks:
             if not holds:
                 raise InvalidInputError(f"{name}: expected {expected}, got {getattr(self, name)}.")
+
+    @property
+    def aim_index(self) -> int | None:
+        """Place of `aim` among the consequences."""
+        return None if self.aim is None else self.consequences.index(self.aim)
 
     def target_at(self, n_calls: int) -> float:
         """The relative half-width that is aimed at after so many simulator runs."""
@@ -127,6 +140,8 @@ class Snapshot:
     alarms : tuple of Alarm
     traffic_range : TrafficRange or None
         The probability under each member of the traffic model.
+    consequences : tuple of Consequence
+        Expectations of the event's consequences; empty before there is an estimate.
     order_audit : OrderAudit or None
         What random runs said of the outcomes that the order implies: at the end of a campaign for
         bounds.
@@ -149,6 +164,7 @@ class Snapshot:
     log_efficiency: float = float("nan")
     alarms: tuple[Alarm, ...] = ()
     traffic_range: TrafficRange | None = None
+    consequences: tuple[Consequence, ...] = ()
     order_audit: "OrderAudit | None" = None
     learned: MonotoneSet | None = field(default=None, repr=False)
     belief: "Belief | None" = field(default=None, repr=False)
@@ -165,3 +181,20 @@ class Query:
 
 
 Method = Callable[[Problem], Generator[Query, FloatArray, Snapshot]]
+
+
+def unknown(problem: Problem, s: Snapshot, z: FloatArray) -> tuple[Consequence, ...]:
+    """The consequences z (n, K) without an estimate: at most the event's upper end."""
+    return tuple(
+        Consequence(
+            name=name,
+            mean=0.0 if s.probability == 0 else math.nan,
+            interval=(0.0, s.interval[1]),
+            standard_error=math.inf,
+            n_eff=0.0,
+            n_carrying=int(np.count_nonzero(column > 0)),
+            largest_weight_share=1.0,
+            aimed=name == problem.aim,
+        )
+        for name, column in zip(problem.consequences, z.T, strict=True)
+    )

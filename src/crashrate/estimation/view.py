@@ -68,6 +68,25 @@ class Standardiser:
 
 
 @dataclass(frozen=True)
+class Moments:
+    """What is held about a number in [0, 1] that a run at each draw comes to.
+
+    Parameters
+    ----------
+    mean, square : ndarray, shape (n,)
+        Expectation of the number and of its square.
+    """
+
+    mean: FloatArray
+    square: FloatArray
+
+    @cached_property
+    def deviation(self) -> FloatArray:
+        """Its standard deviation."""
+        return np.sqrt(np.maximum(self.square - self.mean**2, 0.0))
+
+
+@dataclass(frozen=True)
 class View:
     """A pool with what is held about each draw.
 
@@ -84,6 +103,10 @@ class View:
         Implied by outcomes that nothing contradicts, whatever the surrogate says: for the bounds.
     failing : ndarray of bool, shape (n,)
         Undecided, and the nearest runs all failed: more runs would tell nothing there.
+    consequences : tuple of Moments
+        Of the event.
+    aim : int or None
+        The consequence that is aimed at; None for the event itself.
     """
 
     pool: Pool
@@ -94,6 +117,8 @@ class View:
     implied_inner: BoolArray
     implied_safe: BoolArray
     failing: BoolArray
+    consequences: tuple[Moments, ...] = ()
+    aim: int | None = None
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -109,6 +134,14 @@ class View:
     def spread(self) -> FloatArray:
         """Weight times standard deviation of the outcome: what a run at the draw can tell."""
         return np.where(self.failing, 0.0, self.weights * np.sqrt(self.h * (1 - self.h)))
+
+    @property
+    def aimed_spread(self) -> FloatArray:
+        """What a run at the draw can tell of the number that is aimed at."""
+        if self.aim is None:
+            return self.spread
+        deviation = self.consequences[self.aim].deviation
+        return np.where(self.failing, 0.0, self.weights * deviation)
 
     @cached_property
     def probability(self) -> float:
@@ -133,8 +166,9 @@ class View:
 
     @cached_property
     def target(self) -> FloatArray:
-        """Distribution over draws, ∝ w √h: of which the estimating rounds draw."""
-        return normalised(self.weights * np.sqrt(self.h))
+        """Distribution over draws, ∝ w √E[z²] of what is aimed at, w √h for the event itself."""
+        square = self.h if self.aim is None else self.consequences[self.aim].square
+        return normalised(self.weights * np.sqrt(square))
 
     def under(self, ratio: FloatArray) -> Self:
         """As other traffic sees it: with `ratio` (n,) times the density, up to a factor."""

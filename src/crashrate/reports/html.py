@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.estimate import Estimate, in_words
 from crashrate.reports.evidence import accelerates, evidence
 from crashrate.reports.likeliest import likeliest_crashes
@@ -71,6 +72,7 @@ def render_report(record: RunRecord) -> str:
         estimate=estimate,
         sentence=_sentence(record, estimate),
         key_figures=_key_figures(record, estimate),
+        consequences=_consequences(estimate),
         facts=evidence(record, estimate),
         panels=_panels(record, estimate),
         crashes=likeliest_crashes(record),
@@ -125,6 +127,26 @@ def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str]
         ),
         (f"{estimate.n_calls:,} runs", _effort(estimate)),
     )
+
+
+def _consequences(estimate: Estimate) -> tuple[tuple[str, str, str, str, int], ...]:
+    """Each consequence: name, mean, interval, share of the events' severity, runs that had it."""
+    return tuple(
+        (
+            c.name + " (aimed at)" * c.aimed,
+            power_of_ten(c.mean) if c.determined else "not determined",
+            f"{interval_text(c.interval)}{_about(c)}",
+            percent(c.mean / estimate.probability)
+            if c.determined and estimate.probability > 0
+            else "–",
+            c.n_carrying,
+        )
+        for c in estimate.consequences
+    )
+
+
+def _about(c: Consequence) -> str:
+    return f" (± {percent(c.relative_half_width)})" if c.determined else ""
 
 
 def _effort(estimate: Estimate) -> str:

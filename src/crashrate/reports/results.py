@@ -7,6 +7,7 @@ from typing import Any
 
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.traffic_range import TrafficRange
@@ -56,6 +57,20 @@ def _estimate(result: Mapping[str, Any]) -> Estimate:
         traffic_range=_range(result.get("traffic_range")),
         goal=str(result.get("goal", "probability")),
         order_audit=_audit(result.get("order_audit")),
+        consequences=tuple(map(_consequence, result.get("consequences", ()))),
+    )
+
+
+def _consequence(found: Mapping[str, Any]) -> Consequence:
+    return Consequence(
+        name=str(found["name"]),
+        mean=number(found, "mean"),
+        interval=_pair(found["interval"]),
+        standard_error=number(found, "standard_error"),
+        n_eff=number(found, "n_eff"),
+        n_carrying=_count(found, "n_carrying"),
+        largest_weight_share=number(found, "largest_weight_share"),
+        aimed=bool(found["aimed"]),
     )
 
 

@@ -20,7 +20,7 @@ Number = TypeVar("Number", int, float)
 TRAFFIC = "traffic model"
 SOURCE = "simulator_source"
 TARGETS, BUDGETS = "targets", "budgets"
-GOAL = "goal"
+GOAL, AIM = "goal", "aim"
 VOUCHED = "vouched_sources"  # edited since, their outcomes kept at the user's word
 
 
@@ -73,6 +73,7 @@ def configuration(
         "seed": str(problem.seed),
         "method": campaign.method,
         GOAL: campaign.goal,
+        AIM: problem.aim or "",
         "batch_size": str(problem.batch_size),
         "versions": json.dumps(versions()),
         "target": target_text(problem),
@@ -189,6 +190,7 @@ def _identity(config: dict[str, str]) -> dict[str, Any]:
         traffic = json.loads(config["traffic"])
         plain = {key: config[key] for key in ("seed", "method", "batch_size")}
         plain[GOAL] = config.get(GOAL, "probability")  # older runs had no other
+        plain[AIM] = config.get(AIM) or "the event"
     except (KeyError, ValueError, ScenarioError) as error:
         raise StoreError(
             f"run folder: expected a configuration written by crashrate, got: {error}; restore "

@@ -88,6 +88,13 @@ class Table:
             raise self.error(f"{key}: expected a list of numbers, got {values!r}")
         return tuple(float(v) for v in values)
 
+    def texts(self, key: str) -> tuple[str, ...]:
+        """The list of texts under `key`, empty where there is none."""
+        values = self.values.get(key, [])
+        if not isinstance(values, list) or not all(_is(v, str) for v in values):
+            raise self.error(f"{key}: expected a list of texts, got {values!r}")
+        return tuple(values)
+
     def optional_number(self, key: str) -> float | None:
         """The number under `key`, None where there is none."""
         return self.number(key, math.inf) if key in self.values else None

@@ -1,6 +1,6 @@
 """The record of a run: what its folder holds, read for reports and status."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ class RunRecord:
         As `result.json` says.
     synthetic : bool
         Whether the traffic model was fitted to drawn events instead of recorded ones.
+    consequences : array (n, K)
+        Of each run, NaN where it failed.
     """
 
     directory: Path
@@ -40,6 +42,7 @@ class RunRecord:
     outcomes: FloatArray
     result: dict[str, Any]
     synthetic: bool
+    consequences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 def load_run(directory: str | Path) -> RunRecord:
@@ -54,15 +57,17 @@ def load_run(directory: str | Path) -> RunRecord:
     with RunStore.open(directory) as store:
         config = _require(directory, store.config(), ("scenario", "scenario_name", "traffic"))
         scenario = Scenario.from_text(config["scenario"], config["scenario_name"])
-        batches = store.batches(len(scenario.variables))
+        names = scenario.outcome.consequences
+        batches = store.batches(len(scenario.variables), len(names))
     result = read_result(directory)
-    x, outcomes = _rows(batches, len(scenario.variables), directory, result)
+    x, table = _rows(batches, len(scenario.variables), len(names), directory, result)
     return RunRecord(
         directory=directory,
         scenario=scenario,
         traffic=TrafficModel.from_json(config["traffic"]),
         x=x,
-        outcomes=outcomes,
+        outcomes=frozen(table[:, 0]),
+        consequences=frozen(table[:, 1:]),
         result=result,
         synthetic=bool(result["synthetic"]),
     )
@@ -79,10 +84,11 @@ def _require(directory: Path, config: dict[str, str], keys: tuple[str, ...]) -> 
 
 
 def _rows(
-    batches: list[Batch], d: int, directory: Path, result: dict[str, Any]
+    batches: list[Batch], d: int, n_z: int, directory: Path, result: dict[str, Any]
 ) -> tuple[FloatArray, FloatArray]:
     x = np.concatenate([np.empty((0, d)), *(batch.x for batch in batches)])
-    outcomes = np.concatenate([np.empty(0), *(batch.outcomes for batch in batches)])
+    tables = (batch.outcomes.reshape(-1, 1 + n_z) for batch in batches)
+    table = np.concatenate([np.empty((0, 1 + n_z)), *tables])
     n = int(result["n_calls"])
     if n > len(x):
         raise StoreError(
@@ -90,4 +96,4 @@ def _rows(
             "store; write the result again with 'crashrate run' and the same arguments."
         )
     # a killed run may have stored a batch more than its last result counts
-    return frozen(x[:n]), frozen(outcomes[:n])
+    return frozen(x[:n]), table[:n]

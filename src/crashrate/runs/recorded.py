@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crashrate.errors import InvalidInputError, StoreError
-from crashrate.estimation.campaign import LEARNING
+from crashrate.estimation.methods import LEARNING
 from crashrate.events import EventTable
 from crashrate.traffic.model import TrafficModel
 

@@ -23,11 +23,12 @@ def is_synthetic(traffic: TrafficModel) -> bool:
 def result_dict(estimate: Estimate, scenario: Scenario, problem: Problem) -> dict[str, Any]:
     """What `result.json` holds."""
     traffic = problem.traffic
-    return estimate.to_dict() | {
+    return estimate.to_dict(scenario.outcome.per) | {
         "sentence": estimate.sentence(scenario.outcome.event, scenario.outcome.per),
         "target": {
             "relative_half_width": problem.relative_half_width,
             "max_calls": problem.max_calls,
+            "aim": problem.aim,
         },
         "scenario": scenario.name,
         "traffic": {

@@ -16,8 +16,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from crashrate.errors import SimulationError, StoreError
-from crashrate.estimation.campaign import LEARNING, Campaign
+from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.estimate import Estimate, json_ready
+from crashrate.estimation.methods import LEARNING
 from crashrate.estimation.strategy import Problem
 from crashrate.events import EventTable
 from crashrate.recordings.check import Check
@@ -64,6 +65,7 @@ def run(
     relative_half_width: float | None = None,
     max_calls: int | None = None,
     goal: str | None = None,
+    aim: str | None = None,
     batch_size: int = Problem.batch_size,
     same_vehicle: bool = False,
     events: EventTable | None = None,
@@ -89,6 +91,8 @@ def run(
         Method, target and budget; the scenario's where not given.
     goal : optional
         As of `Campaign`; the scenario's where not given. Another one is another run.
+    aim : optional
+        Likewise: the consequence that the target is for.
     same_vehicle : bool
         Whether the stored outcomes count although the simulator's source was edited since.
     events : EventTable, optional
@@ -133,6 +137,8 @@ def run(
         method=_given(method, target.method),
         goal=goal or target.goal,
         batch_size=batch_size,
+        consequences=scenario.outcome.consequences,
+        aim=aim or target.aim,
         earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
         earlier_budgets=[(b, n) for (b, _), (_, n) in pairwise(budgets)],
     )
@@ -232,9 +238,18 @@ class _Sitting:
     awaits_check: bool
 
     def simulated(self, x: FloatArray) -> FloatArray:
-        """Outcomes (n,) of `x` (n, d), checked before anything is stored or told."""
+        """Outcomes (n,) of `x` (n, d), checked."""
+        table = self.told(x)
+        return table[:, 0] if table.ndim == 2 else table
+
+    def told(self, x: FloatArray) -> FloatArray:
+        """Outcomes (n,) of `x` (n, d), checked before anything is stored or told.
+
+        With K consequences a table (n, 1 + K).
+        """
+        names = self.campaign.problem.consequences
         try:
-            return check_outcomes(self.simulate(x), len(x))
+            return check_outcomes(self.simulate(x), len(x), consequences=names)
         except SimulationError as error:
             n = self.campaign.n_calls
             raise SimulationError(
@@ -296,12 +311,13 @@ def _ignore(_: Campaign) -> None:
 def _replay(sitting: _Sitting) -> int:
     """Tell the campaign what is stored; the number of batches in the store."""
     campaign = sitting.campaign
-    batches = sitting.store.batches(campaign.problem.traffic.n_variables)
+    problem = campaign.problem
+    batches = sitting.store.batches(problem.traffic.n_variables, len(problem.consequences))
     for k, batch in enumerate(batches):
         if campaign.done:  # with a smaller budget, or a wider target, than was stored
             break
         sitting.tell(_recalled(sitting, k, batch, campaign.ask()))
-    sitting.store.set_config("target", target_text(campaign.problem))
+    sitting.store.set_config("target", target_text(problem))
     return len(batches)
 
 
@@ -312,7 +328,7 @@ def _recalled(sitting: _Sitting, k: int, batch: Batch, x: FloatArray) -> FloatAr
         raise StoreError(_parted(sitting, k))
     if n == len(x):
         return batch.outcomes[:n]
-    outcomes = np.concatenate([batch.outcomes, sitting.simulated(x[n:])])
+    outcomes = np.concatenate([batch.outcomes, sitting.told(x[n:])])
     sitting.store.extend(k, Batch(x, outcomes))
     return outcomes
 
@@ -343,7 +359,7 @@ def _go_on(sitting: _Sitting, k: int) -> Estimate:
     try:
         while not campaign.done:
             x = campaign.ask()
-            outcomes = sitting.simulated(x)
+            outcomes = sitting.told(x)
             sitting.store.append(k, Batch(x, outcomes))
             sitting.tell(outcomes)
             estimate, k = campaign.estimate(), k + 1

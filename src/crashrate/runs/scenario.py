@@ -102,16 +102,19 @@ class Scenario:
         names = tuple(v.name for v in variables)
         derived = sections.read_derived(root.table("derived"), names)
         events = sections.read_events(root.table("events"), names)
+        target = sections.read_target(root.table("target"))
+        outcome = sections.read_outcome(root.table("outcome"))
+        sections.require_aim(root, target, outcome)
         return cls(
             name=name,
             variables=variables,
             derived=MappingProxyType(derived),
             risk=sections.read_risk(root, (*names, *derived)),
             simulator_choice=sections.read_simulator(root.table("simulator")),
-            target=sections.read_target(root.table("target")),
+            target=target,
             events=events,
             severity=sections.read_severity(root, names, events.closing),
-            outcome=sections.read_outcome(root.table("outcome")),
+            outcome=outcome,
             text=text,
             directory=directory,
         )
@@ -166,6 +169,7 @@ class Scenario:
             "[risk]": None if self.risk is None else [[n, d.value] for n, d in self.risk.items()],
             "[simulator]": {k: v for k, v in vars(choice).items() if v not in (None, "", False)},
             "[target] confidence": self.target.confidence,
+            "[outcome] consequences": list(self.outcome.consequences),
         }
 
     @property

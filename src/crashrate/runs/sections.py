@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from crashrate.errors import InvalidInputError, ScenarioError
-from crashrate.estimation.campaign import GOALS, METHODS
+from crashrate.estimation.methods import GOALS, METHODS
 from crashrate.estimation.strategy import Problem
 from crashrate.expressions import Expression
+from crashrate.outcomes import consequence_names
 from crashrate.recordings.severity import FACTOR, LEVELS, Severity
 from crashrate.runs.keys import Table
 from crashrate.variables import Direction, Scale, Variable, nearest
@@ -27,13 +28,17 @@ CLOSING = ("inv_ttc", "closing_speed")
 
 @dataclass(frozen=True)
 class Target:
-    """What is wanted, how tight, how many simulator runs it may cost, and by which method."""
+    """What is wanted, how tight, how many simulator runs it may cost, and by which method.
+
+    `aim` is the consequence that the target is for; None for the event itself.
+    """
 
     relative_half_width: float = Problem.relative_half_width
     max_calls: int = Problem.max_calls
     confidence: float = Problem.confidence
     method: str = "sequential"
     goal: str = "probability"
+    aim: str | None = None
 
 
 @dataclass(frozen=True)
@@ -80,10 +85,11 @@ class EventColumns:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The words of the answer: what happens, and per what."""
+    """The words of the answer: what happens, per what, and what a run tells beside it."""
 
     event: str = "crash"
     per: str = "lane change"
+    consequences: tuple[str, ...] = ()
 
 
 def read_variables(section: Table) -> tuple[Variable, ...]:
@@ -176,13 +182,14 @@ def read_simulator(section: Table) -> SimulatorChoice:
 
 def read_target(section: Table) -> Target:
     """The target, the budget, the method and the goal."""
-    section.only(("relative_half_width", "max_calls", "confidence", "method", "goal"))
+    section.only(("relative_half_width", "max_calls", "confidence", "method", "goal", "aim"))
     target = Target(
         section.number("relative_half_width", Target.relative_half_width),
         section.integer("max_calls", Target.max_calls),
         section.number("confidence", Target.confidence),
         section.text("method", Target.method),
         section.text("goal", Target.goal),
+        section.text("aim") if "aim" in section.values else None,
     )
     if target.method not in METHODS:
         raise section.error(
@@ -244,6 +251,22 @@ def read_severity(root: Table, names: tuple[str, ...], closing: str | None) -> S
 
 
 def read_outcome(section: Table) -> Outcome:
-    """The words of the answer."""
-    section.only(("event", "per"))
-    return Outcome(section.text("event", Outcome.event), section.text("per", Outcome.per))
+    """The words of the answer, and the consequences that are told beside the event."""
+    section.only(("event", "per", "consequences"))
+    try:
+        names = consequence_names(section.texts("consequences"))
+    except InvalidInputError as error:
+        raise ScenarioError(f"{section.where}: {error}") from error
+    event, per = section.text("event", Outcome.event), section.text("per", Outcome.per)
+    if event in names:
+        raise section.error(f"consequences: expected other names than that of the event, {event!r}")
+    return Outcome(event, per, names)
+
+
+def require_aim(root: Table, target: Target, outcome: Outcome) -> None:
+    """Refuse an aim that is no consequence."""
+    if target.aim is not None and target.aim not in outcome.consequences:
+        raise root.table("target").error(
+            f"aim: expected one of the consequences under [outcome], got {target.aim!r}"
+            f"{nearest(target.aim, outcome.consequences)}"
+        )

@@ -31,7 +31,10 @@ FLOAT = np.dtype("<f8")  # little-endian on every machine
 
 @dataclass(frozen=True)
 class Batch:
-    """Situations simulated together, `x` of shape (n, d), and their outcomes of shape (n,)."""
+    """Situations simulated together, `x` of shape (n, d), and their outcomes of shape (n,).
+
+    With K consequences outcomes are a table (n, 1 + K).
+    """
 
     x: FloatArray
     outcomes: FloatArray
@@ -126,7 +129,7 @@ class RunStore:
             (n,) = connection.execute("SELECT COALESCE(SUM(n), 0) FROM batches").fetchone()
         return int(n)
 
-    def batches(self, n_variables: int) -> list[Batch]:
+    def batches(self, n_variables: int, n_consequences: int = 0) -> list[Batch]:
         """The batches, in the order in which they were asked for.
 
         Raises
@@ -140,7 +143,7 @@ class RunStore:
         numbers = [row[0] for row in rows]
         if numbers != list(range(len(rows))):
             raise self._damaged(f"batches 0 to {len(rows) - 1}", f"batches {numbers}")
-        return [self._batch(row, n_variables) for row in rows]
+        return [self._batch(row, n_variables, n_consequences) for row in rows]
 
     def append(self, k: int, batch: Batch) -> None:
         """Write the new batch `k`, whole or not at all.
@@ -202,13 +205,15 @@ class RunStore:
                 "restore the file from a copy, or choose another --out."
             ) from error
 
-    def _batch(self, row: tuple[int, int, bytes, bytes], d: int) -> Batch:
+    def _batch(self, row: tuple[int, int, bytes, bytes], d: int, n_z: int) -> Batch:
         k, n, x, outcomes = row
         size = FLOAT.itemsize
-        if (len(x), len(outcomes)) != (n * d * size, n * size):
-            expected = f"{n} rows of {d} variables in batch {k}"
+        if (len(x), len(outcomes)) != (n * d * size, n * (1 + n_z) * size):
+            told = f" and {n_z} consequences" if n_z else ""
+            expected = f"{n} rows of {d} variables{told} in batch {k}"
             raise self._damaged(expected, f"{len(x)} and {len(outcomes)} bytes")
-        return Batch(_array(x).reshape(n, d), _array(outcomes))
+        table = _array(outcomes)
+        return Batch(_array(x).reshape(n, d), table.reshape(n, 1 + n_z) if n_z else table)
 
     def _read_only(self) -> StoreError:
         return StoreError(

@@ -3,16 +3,15 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import numpy.typing as npt
-
 from crashrate.errors import InvalidInputError, ScenarioError
+from crashrate.outcomes import Told
 from crashrate.simulators import AccAeb, AccAebSimulator, PythonFunction
 from crashrate.variables import FloatArray
 
 if TYPE_CHECKING:
     from crashrate.runs.scenario import Scenario
 
-Simulate = Callable[[FloatArray], npt.ArrayLike]
+Simulate = Callable[[FloatArray], Told]
 
 
 def simulator_of(scenario: "Scenario") -> Simulate:
@@ -42,6 +41,13 @@ def _file(scenario: "Scenario") -> str:
 
 
 def _acc_aeb(scenario: "Scenario") -> AccAebSimulator:
+    if scenario.outcome.consequences:
+        raise InvalidInputError(
+            "kind 'acc-aeb' tells crashes alone, and [outcome] declares consequences "
+            f"({', '.join(scenario.outcome.consequences)}); leave them out, or give kind 'python' "
+            "with a function that calls crashrate.simulators.AccAeb and returns what it wants of "
+            "impact_speed."
+        )
     choice = scenario.simulator_choice
     plant = (
         AccAeb.published()
@@ -53,6 +59,7 @@ def _acc_aeb(scenario: "Scenario") -> AccAebSimulator:
 
 def _own(scenario: "Scenario") -> PythonFunction:
     folder = None if scenario.directory is None else str(scenario.directory)
-    function = PythonFunction(scenario.simulator_choice.function, folder)
+    consequences = scenario.outcome.consequences
+    function = PythonFunction(scenario.simulator_choice.function, folder, consequences)
     function.load()  # fail before anything is stored
     return function

@@ -1,11 +1,13 @@
 """What a simulator is: rows of situations in, one outcome per row out."""
 
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from crashrate.errors import SimulationError
+from crashrate.outcomes import Told, outcome_table
 from crashrate.variables import FloatArray
 
 
@@ -17,26 +19,44 @@ class Simulator(Protocol):
     a failure is an outcome of its own, never "safe".
     """
 
-    def __call__(self, x: FloatArray, /) -> npt.ArrayLike:
-        """The outcomes (n,) of the situations `x` (n, d)."""
+    def __call__(self, x: FloatArray, /) -> Told:
+        """The outcomes (n,) of the situations `x` (n, d).
+
+        With K consequences declared, (n, 1 + K), or a mapping of names to (n,).
+        """
 
 
-def check_outcomes(outcomes: npt.ArrayLike, n: int, what: str = "the simulator") -> FloatArray:
+def check_outcomes(
+    outcomes: Told, n: int, what: str = "the simulator", consequences: Sequence[str] = ()
+) -> FloatArray:
     """`outcomes` as an array (n,) of 1.0 (crash), 0.0 (none) and NaN (the simulation failed).
+
+    With K consequences a table (n, 1 + K), the outcomes in its first column.
 
     Parameters
     ----------
     outcomes : array (n,) of bool, or of the numbers 1, 0 and NaN
+        With consequences (n, 1 + K), or a mapping of their names, and one for the event, to (n,).
     n : int
         Number of rows that were simulated.
     what : str
         Names the simulator in the error.
+    consequences : sequence of str
+        Names of the numbers in [0, 1] that a run tells beside the event.
 
     Raises
     ------
     SimulationError
         If there is not one outcome per row, or one is something else, such as a safety margin.
     """
+    if consequences:
+        return outcome_table(outcomes, n, consequences, what, SimulationError)
+    if isinstance(outcomes, Mapping):
+        raise SimulationError(
+            f"{what}: expected one outcome per row, shape ({n},), got a mapping of "
+            f"{', '.join(map(str, outcomes))}; declare what it tells beside the event under "
+            "[outcome] consequences."
+        )
     array = _as_array(outcomes, what)
     if array.shape != (n,):
         raise SimulationError(

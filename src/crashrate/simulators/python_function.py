@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.errors import InvalidInputError, SimulationError
+from crashrate.outcomes import Told
 from crashrate.simulators.base import check_outcomes
 from crashrate.simulators.own_files import own_files
 from crashrate.variables import FloatArray, nearest
@@ -30,6 +31,9 @@ class PythonFunction:
         outcomes: booleans, or the numbers 1, 0 and NaN (failed).
     folder : str, optional
         Where the module is looked for first: the folder of the scenario file.
+    consequences : tuple of str
+        Names of what the function tells beside the event: it then returns (n, 1 + K), or a mapping
+        of these names, and one for the event, to arrays (n,).
 
     Raises
     ------
@@ -39,6 +43,7 @@ class PythonFunction:
 
     target: str
     folder: str | None = None
+    consequences: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         module, colon, function = self.target.partition(":")
@@ -51,7 +56,7 @@ class PythonFunction:
         if self.folder is not None:
             object.__setattr__(self, "folder", str(Path(self.folder).resolve()))
 
-    def load(self) -> Callable[[FloatArray], npt.ArrayLike]:
+    def load(self) -> Callable[[FloatArray], Told]:
         """Import the module and return the function: call it early to fail early.
 
         Raises
@@ -94,6 +99,8 @@ class PythonFunction:
     def __call__(self, x: npt.ArrayLike) -> FloatArray:
         """The outcomes of the situations `x` (n, d): (n,) of 1.0, 0.0 and NaN.
 
+        With K consequences a table (n, 1 + K), the outcomes in its first column.
+
         Raises
         ------
         SimulationError
@@ -110,7 +117,8 @@ class PythonFunction:
                 f"{len(rows) - 1} of a batch{_told(error, self.folder)}. To mark one run as "
                 "failed, return NaN for its row instead."
             ) from error
-        return check_outcomes(outcomes, len(rows), f"simulator function {self.target!r}")
+        what = f"simulator function {self.target!r}"
+        return check_outcomes(outcomes, len(rows), what, self.consequences)
 
     def _import(self, name: str) -> ModuleType:
         try:

@@ -1,0 +1,144 @@
+"""Consequences in the estimating rounds: unbiased whatever was expected, and combined.
+
+A round's draws tell of every consequence z as they do of the event: with m = h g for what was
+expected, e = Σ w m + mean(w / pr · (z - m)) has the expectation E[z] given the past, whatever h and
+g are. Its variance is predicted by that of z: h (g² + s²) - (h g)².
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import betaincinv
+
+from crashrate.estimation.consequence import MIN_CARRYING, Consequence
+from crashrate.estimation.rounds import Round, at_least, combine
+from crashrate.estimation.selection import Drawn
+from crashrate.estimation.view import Moments, View
+from crashrate.variables import FloatArray
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What a round says of one consequence.
+
+    Parameters
+    ----------
+    round : Round
+        Of the consequence in place of the event.
+    events, squares, carried : float
+        Sums over the draws with the event: of their contributions c = w / pr to its probability,
+        of c², and of c z.
+    """
+
+    round: Round
+    events: float
+    squares: float
+    carried: float
+
+
+def carry(view: View, drawn: Drawn, y: FloatArray, z: FloatArray) -> tuple[Carried, ...]:
+    """Each consequence in the round in which `drawn` had outcomes y (n,) and z (n, K)."""
+    return tuple(
+        _carried(view, moments, drawn, y, column)
+        for moments, column in zip(view.consequences, z.T, strict=True)
+    )
+
+
+def _carried(view: View, held: Moments, drawn: Drawn, y: FloatArray, z: FloatArray) -> Carried:
+    rows, n = drawn.rows, len(drawn.rows)
+    factor = view.weights[rows] / drawn.probabilities[rows]
+    event = factor * (y == 1)
+    return Carried(
+        _measure(view, held, drawn, z),
+        events=float(event.sum()) / n,
+        squares=float(event @ event) / n**2,
+        carried=float(event @ np.nan_to_num(z)) / n,
+    )
+
+
+def _measure(view: View, held: Moments, drawn: Drawn, z: FloatArray) -> Round:
+    """`rounds.measure` with z and its moments in place of the event."""
+    rows, n = drawn.rows, len(drawn.rows)
+    m, part = held.mean[rows], view.weights * held.mean
+    factor = view.weights[rows] / drawn.probabilities[rows]
+    failed, predicted = np.isnan(z), float(part.sum())
+    failing = np.where(view.failing, view.weights, 0.0)
+    moved = factor * (np.where(failed, m, z) - m) / n
+    down, up = (float((factor * np.where(failed, e - m, 0.0)).sum() / n) for e in (0.0, 1.0))
+    estimate = predicted + float(moved.sum())
+    pool = max(float(part @ part) - predicted**2 / view.pool.n_drawn, 0.0)
+    spread = view.weights * held.deviation
+    drawing = float((spread**2 / np.maximum(drawn.probabilities, 1e-300)).sum() / n)
+    return Round(
+        n_runs=len(np.unique(rows)),
+        estimate=estimate,
+        lowest=estimate + down - float(failing @ held.mean),
+        highest=estimate + up + float(failing @ (1 - held.mean)),
+        predicted=predicted,
+        variance=float(at_least(drawing + pool, predicted)),
+        n_draws=n,
+        squares=float(moved @ moved),
+        largest=float(np.abs(moved).max()),
+    )
+
+
+def together(
+    name: str,
+    found: Sequence[Carried],
+    n_carrying: int,
+    event: tuple[float, float],
+    confidence: float,
+    *,
+    aimed: bool,
+) -> Consequence:
+    """One consequence over the rounds.
+
+    Parameters
+    ----------
+    name : str
+    found : sequence of Carried
+    n_carrying : int
+        Simulator runs that had it.
+    event : (float, float)
+        Interval for the event's probability.
+    confidence : float
+    aimed : bool
+    """
+    c = combine([f.round for f in found], confidence)
+    n_eff = (c.estimate / c.standard_error) ** 2
+    low, high = c.lower, c.upper
+    if n_carrying < MIN_CARRYING:
+        # a classifier that hardly saw it foretells hardly any variance: its word is not taken
+        share = _share(found, confidence)
+        low, high = min(low, event[0] * share[0]), max(high, event[1] * share[1])
+    return Consequence(
+        name=name,
+        mean=c.estimate,
+        interval=(low, min(high, event[1])),
+        standard_error=c.standard_error,
+        n_eff=n_eff,
+        n_carrying=n_carrying,
+        largest_weight_share=c.largest_share,
+        aimed=aimed,
+    )
+
+
+def _share(found: Sequence[Carried], confidence: float) -> tuple[float, float]:
+    """Interval for E[z | event] from the draws alone: Clopper–Pearson's with unequal weights.
+
+    At the effective numbers of events, and of those with the consequence (Korn & Graubard 1998);
+    a number within [0, 1] varies no more than a yes or no of the same mean.
+    """
+    n = np.array([f.round.n_draws for f in found])
+    share = n / n.sum()
+    events = float(share @ [f.events for f in found])
+    squares = float(share**2 @ [f.squares for f in found])
+    if not events > 0:
+        return 0.0, 1.0
+    n_eff = events**2 / squares
+    seen = n_eff * min(float(share @ [f.carried for f in found]) / events, 1.0)
+    tail = (1 - confidence) / 2
+    low = float(betaincinv(seen, n_eff - seen + 1, tail)) if seen > 0 else 0.0
+    high = float(betaincinv(seen + 1, n_eff - seen, 1 - tail)) if seen < n_eff else 1.0
+    return low, high

@@ -1,0 +1,76 @@
+"""What an event leads to in one encounter: the expectation of a consequence, as a frozen value."""
+
+import math
+from dataclasses import dataclass
+
+MIN_N_EFF = 5.0  # below it, the runs do not determine a consequence
+MIN_CARRYING = 10  # nor if fewer runs had it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Consequence:
+    """The expectation of a number in [0, 1] that is 0 where the event does not happen.
+
+    Parameters
+    ----------
+    name : str
+    mean : float
+        Per encounter, not per event; NaN before there is an estimate.
+    interval : (float, float)
+        Confidence interval for `mean`, at the estimate's level.
+    standard_error : float
+        Of `mean`.
+    n_eff : float
+        (mean / standard error)²: the number of equally weighted events that would be as precise,
+        had all of them the consequence in full.
+    n_carrying : int
+        Simulator runs that had it at all.
+    largest_weight_share : float
+        Share of `mean` that hangs on the most influential simulator run.
+    aimed : bool
+        Whether the campaign's target was for this number.
+    """
+
+    name: str
+    mean: float
+    interval: tuple[float, float]
+    standard_error: float
+    n_eff: float
+    n_carrying: int
+    largest_weight_share: float
+    aimed: bool = False
+
+    @property
+    def half_width(self) -> float:
+        """Half the length of the interval."""
+        return (self.interval[1] - self.interval[0]) / 2
+
+    @property
+    def relative_half_width(self) -> float:
+        """Half the length of the interval over the mean; infinite where that is 0 or NaN."""
+        return self.half_width / self.mean if self.mean > 0 else math.inf
+
+    @property
+    def determined(self) -> bool:
+        """Whether enough runs had it for the interval to rest on them."""
+        return self.n_eff >= MIN_N_EFF and self.n_carrying >= MIN_CARRYING
+
+    def sentence(self, per: str = "lane change") -> str:
+        """The answer in one sentence."""
+        low, high = self.interval
+        if not self.determined:
+            seen = f"{self.n_carrying} simulator run{'s' * (self.n_carrying != 1)} had it"
+            bracket = f"≤ {high:.1e}" if low == 0 else f"between {low:.1e} and {high:.1e}"
+            return f"E({self.name}) {bracket} per {per}: not determined, {seen}"
+        relative = self.relative_half_width
+        about = f" (± {100 * relative:.0f} %)" if relative <= 1 else ""
+        return f"E({self.name}) = {self.mean:.1e} per {per}, [{low:.1e}, {high:.1e}]{about}"
+
+    def to_dict(self, per: str = "lane change") -> dict[str, object]:
+        """As JSON-ready values, but for numbers that are not finite."""
+        return vars(self) | {
+            "interval": list(self.interval),
+            "relative_half_width": self.relative_half_width,
+            "determined": self.determined,
+            "sentence": self.sentence(per),
+        }
