@@ -26,6 +26,9 @@ class Kernel(NamedTuple):
 SHAPES = ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
 KERNELS = tuple(Kernel(*shape, variance) for shape in SHAPES for variance in (1e3, 1e4))
 ADDITIVE = tuple(Kernel(3.0, 2.0, variance, additive=True) for variance in (1e3, 1e4))
+# An additive kernel supposes more than the others: its score must be better by so much (a factor of
+# fifty), or it is chosen by chance while labels are few.
+SUPPOSES_MORE = 4.0
 LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
 # … and soft ones, where equal situations may end differently: how likely a crash is falls off along
 # a plane, and nothing is certain far away
@@ -100,7 +103,7 @@ def _merit(fit: Surrogate, *, soft: bool) -> tuple[bool, float]:
     Where outcomes contradict an order deeply, inference that did not converge is no candidate: its
     score is what it happened to oscillate through. (At ripples it oscillates too, and is of use.)
     """
-    return fit.converged or not soft, fit.log_score
+    return fit.converged or not soft, fit.log_score - SUPPOSES_MORE * fit.prior.additive
 
 
 def _prior(kernel: Kernel, d: int, *, directed: bool, ordered: bool) -> Prior:
