@@ -6,9 +6,9 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from crashrate.crash_set.surrogate import Surrogate
+from crashrate.estimation.failing import fails
 from crashrate.estimation.labels import Labels
 from crashrate.sampling.pool import Pool
 from crashrate.variables import BoolArray, FloatArray
@@ -20,9 +20,6 @@ MAX_DRIFT = 0.3  # of center over scale, and of log scale, before the coordinate
 # A surrogate is never certain; but ordinary traffic has all the weight there is, and at 1e-9 it
 # would be taken for the largest doubt of all where crashes are rare and coordinates many.
 UNSURE = 1e-20
-# Where the nearest runs all failed, so many that failures at random had no more than this chance,
-# the simulator fails; a share of failures above MOST_FAILED is taken as that.
-BY_CHANCE, MOST_FAILED = 2e-3, 0.5
 SHARP = 1e3  # variance of kernels under which outcomes differ across an edge, not by chance
 FAR = 1e-3  # without an order, what the surrogate holds below this is taken as safe …
 FAR_PROBABILITY = 1e-26  # … (NO_ORDER alarm): its tails are the prior's, not the data's
@@ -102,7 +99,7 @@ class View:
     implied_inner, implied_safe : ndarray of bool, shape (n,)
         Implied by outcomes that nothing contradicts, whatever the surrogate says: for the bounds.
     failing : ndarray of bool, shape (n,)
-        Undecided, and the nearest runs all failed: more runs would tell nothing there.
+        Undecided, and the nearest runs all failed: more would tell nothing.
     consequences : tuple of Moments
         Of the event.
     aim : int or None
@@ -193,22 +190,9 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     """Look at `pool` through the outcomes and the surrogate fitted to them."""
     h, raw, inner, outside = held(pool.u, labels, surrogate, standardise)
     crash, safe = labels.implied(pool.u)
-    failing = _failing(pool.u, labels, surrogate, standardise) & ~(inner | outside)
-    return View(pool, h, raw, inner, outside, crash, safe, failing)
-
-
-def _failing(
-    u: FloatArray, labels: Labels, surrogate: Surrogate, standardise: Standardiser
-) -> BoolArray:
-    """Where so many failed runs are nearer than any known one that it is hardly by chance."""
     failed = standardise(labels.u[~labels.known])
-    share = min(len(failed) / max(labels.n, 1), MOST_FAILED)
-    k = math.ceil(math.log(BY_CHANCE) / math.log(share)) if share > 0 else 1
-    if len(failed) < k:
-        return np.zeros(len(u), dtype=bool)
-    z = standardise(u)
-    known = cKDTree(surrogate.u).query(z)[0]
-    return np.asarray(cKDTree(failed).query(z, k=[k])[0][:, 0] < known)
+    failing = fails(surrogate.u, failed, standardise(pool.u)) & ~(inner | outside)
+    return View(pool, h, raw, inner, outside, crash, safe, failing)
 
 
 def held(
