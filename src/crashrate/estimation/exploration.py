@@ -9,10 +9,11 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from crashrate.crash_set.fronts import maximal
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.probing import Asking, ask, probe, reachable
+from crashrate.estimation.probing import NEGLIGIBLE_MASS, Asking, ask, probe, reachable
 from crashrate.estimation.strategy import Problem, Query
 from crashrate.sampling.gaussians import Gaussians
 from crashrate.sampling.pool import Pool, draw_pool
@@ -28,7 +29,8 @@ MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
-MAX_SPACE_FILLING = 200
+# without an order: shares of traffic's probability that are left out, and runs
+FILLING = ((1e-8, 100), (NEGLIGIBLE_MASS, 100))
 MAX_SPREAD = 0.5  # standard deviation of an inflated component, in widths of the box
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
@@ -170,18 +172,28 @@ def _descend(problem: Problem, labels: Labels, pool: Pool) -> Asking:
 def _fill_space(
     problem: Problem, labels: Labels, wide: Gaussians, rng: np.random.Generator
 ) -> Asking:
-    """Simulate the draw farthest from all simulated ones until one crashes."""
+    """Simulate the draw farthest from all simulated ones until one crashes.
+
+    First where events that are not the rarest would be: the space beyond is as large again.
+    """
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-    rows = reachable(pool)
-    x, u = pool.x[rows], pool.u[rows]
-    z = (u - u.mean(axis=0)) / np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
-    distance = (z * z).sum(axis=1)
-    for _ in range(MAX_SPACE_FILLING):
+    for least, most in FILLING:
+        rows = reachable(pool, least=least)
+        labels = yield from _fill(problem, labels, pool.x[rows], pool.u[rows], most)
+    return labels
+
+
+def _fill(problem: Problem, labels: Labels, x: FloatArray, u: FloatArray, most: int) -> Asking:
+    scale = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
+    z, center = u / scale, u.mean(axis=0) / scale
+    known = labels.u / scale if labels.n else center[None]
+    distance = cKDTree(known).query(z)[0]
+    for _ in range(most):
         if (labels.y == 1).any() or labels.n >= problem.max_calls:
             break
         row = int(distance.argmax())
         labels = yield from ask(problem, labels, x[row : row + 1])
-        distance = np.minimum(distance, ((z - z[row]) ** 2).sum(axis=1))
+        distance = np.minimum(distance, np.sqrt(((z - z[row]) ** 2).sum(axis=1)))
     return labels
 
 

@@ -34,15 +34,17 @@ def ask(problem: Problem, labels: Labels, x: FloatArray, snapshot: Snapshot = EX
     return labels
 
 
-def reachable(pool: Pool, likeliest: float = -np.inf) -> np.ndarray:
+def reachable(
+    pool: Pool, likeliest: float = -np.inf, least: float = NEGLIGIBLE_MASS
+) -> np.ndarray:
     """Rows of the pool where a crash would matter.
 
-    All but the least dense 1e-11 of traffic's probability; and, once crashes are known, none that
-    are far less dense than the `likeliest` of them (a log density).
+    All but the least dense share `least` of traffic's probability; and, once crashes are known,
+    none that are far less dense than the `likeliest` of them (a log density).
     """
     by_density = np.argsort(pool.log_f)
     mass = np.cumsum(pool.weights[by_density])
-    rows = by_density[mass > NEGLIGIBLE_MASS * mass[-1]]
+    rows = by_density[mass > least * mass[-1]]
     return np.asarray(rows[pool.log_f[rows] > likeliest - FAR_LESS])
 
 

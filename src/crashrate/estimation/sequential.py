@@ -148,6 +148,7 @@ def _begin(problem: Problem, explored: Explored) -> State:
         Model(standardise),
         directed=directed,
         dropped_at=labels.n if dropped else None,
+        begun_at=labels.n,
     )
 
 

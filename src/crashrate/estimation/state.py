@@ -13,6 +13,7 @@ from crashrate.variables import FloatArray
 # Beyond so many runs a wide interval is better than none. (Not a share of the budget: a run whose
 # budget grows must go on as it was.)
 LEARNING_RUNS = 300
+LATE_RUNS = 200  # where the first crash came late: nothing was known of its region before
 RELEARNING_RUNS = 100  # after an order was dropped
 AUDITED_ROUNDS = 12
 
@@ -37,6 +38,8 @@ class State:
         Whether danger grows along the coordinates, though outcomes may not imply one another.
     dropped_at : int or None
         Simulator runs when the order was dropped.
+    begun_at : int
+        Simulator runs before the first round.
     k : int
         Number of the round.
     learning : bool
@@ -59,6 +62,7 @@ class State:
     encounters: Encounters | None = None
     directed: bool = True
     dropped_at: int | None = None
+    begun_at: int = 0
     k: int = 1
     learning: bool = True
     members: Members = ()
@@ -82,4 +86,4 @@ class State:
         if self.members:
             return self.n_directed <= LEARNING_ROUNDS
         without_order = 0 if self.dropped_at is None else self.dropped_at + RELEARNING_RUNS
-        return self.labels.n < max(LEARNING_RUNS, without_order)
+        return self.labels.n < max(LEARNING_RUNS, self.begun_at + LATE_RUNS, without_order)
