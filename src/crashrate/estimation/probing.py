@@ -9,6 +9,7 @@ from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem, Query, Snapshot
@@ -92,7 +93,7 @@ def farthest(u: FloatArray, known: FloatArray, rows: np.ndarray, n: int) -> np.n
     scale = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
     z, chosen = u[rows] / scale, []
     near = known / scale if len(known) else z.mean(axis=0)[None]
-    distance = np.min([((z - k) ** 2).sum(axis=1) for k in near], axis=0)
+    distance = cKDTree(near).query(z)[0] ** 2
     for _ in range(min(n, len(rows))):
         best = int(distance.argmax())
         chosen.append(best)
