@@ -13,7 +13,14 @@ from scipy.spatial import cKDTree
 
 from crashrate.crash_set.fronts import maximal
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.probing import NEGLIGIBLE_MASS, Asking, ask, probe, reachable
+from crashrate.estimation.probing import (
+    NEGLIGIBLE_MASS,
+    RARE_MASS,
+    Asking,
+    ask,
+    probe,
+    reachable,
+)
 from crashrate.estimation.strategy import Problem, Query
 from crashrate.sampling.gaussians import Gaussians
 from crashrate.sampling.pool import Pool, draw_pool
@@ -30,7 +37,7 @@ CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
 # without an order: shares of traffic's probability that are left out, and runs
-FILLING = ((1e-8, 100), (NEGLIGIBLE_MASS, 100))
+FILLING = ((RARE_MASS, 150), (NEGLIGIBLE_MASS, 50))
 MAX_SPREAD = 0.5  # standard deviation of an inflated component, in widths of the box
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe

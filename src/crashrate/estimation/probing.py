@@ -18,7 +18,9 @@ from crashrate.variables import FloatArray
 
 SAFE_PROBES, CRASH_PROBES = 4, 2
 MORE_PROBES = 3  # times as many where one of them contradicts: is it the order, or a ripple?
-NEGLIGIBLE_MASS = 1e-11
+# Shares of traffic's probability that searches leave out: the rarest events lie in a space about
+# twice as large as the others, and a small crash set is found the later in it.
+RARE_MASS, NEGLIGIBLE_MASS = 1e-8, 1e-11
 FAR_LESS = 3.0  # in log density: a region of crashes a twentieth as dense as known ones adds little
 
 Asking = Generator[Query, FloatArray, Labels]
@@ -35,9 +37,7 @@ def ask(problem: Problem, labels: Labels, x: FloatArray, snapshot: Snapshot = EX
     return labels
 
 
-def reachable(
-    pool: Pool, likeliest: float = -np.inf, least: float = NEGLIGIBLE_MASS
-) -> np.ndarray:
+def reachable(pool: Pool, likeliest: float = -np.inf, least: float = NEGLIGIBLE_MASS) -> np.ndarray:
     """Rows of the pool where a crash would matter.
 
     All but the least dense share `least` of traffic's probability; and, once crashes are known,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 PRIOR_ROUNDS = 4
 PRIOR_DRAWS = 10
 MIN_ROUNDS = 3
+WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
 # Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
 MIN_INFLATION = 0.4
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
@@ -168,6 +169,8 @@ class Combined:
         Rounds that counted.
     largest_share : float
         Largest contribution of a single run over the estimate.
+    inflation : float
+        Of the predicted variance, by what was seen.
     members : TrafficRange or None
         The estimates under the traffic model's members.
     """
@@ -180,6 +183,7 @@ class Combined:
     scatter: float
     n_rounds: int
     largest_share: float
+    inflation: float
     members: TrafficRange | None = None
 
 
@@ -224,8 +228,31 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         n_rounds=len(rounds),
         scatter=float(found.scatter),
         largest_share=largest / center if center > 0 else 1.0,
+        inflation=float(found.inflation),
         members=_members(rounds, n_draws, float(found.inflation)),
     )
+
+
+def draws_to(target: float, c: Combined, view: View, per_draw: float, confidence: float) -> float:
+    """Draws of one more round with which the interval would meet a relative half-width.
+
+    Parameters
+    ----------
+    target : float
+    c : Combined
+        The rounds so far.
+    view : View
+    per_draw : float
+        Predicted variance of a draw's correction.
+    confidence : float
+    """
+    t = float(stdtrit(PRIOR_ROUNDS + c.n_rounds, 0.5 + confidence / 2))
+    wanted = (WELL_WITHIN * target * c.estimate / t) ** 2
+    if wanted <= 0:
+        return math.inf
+    missing = 1 / wanted - 1 / c.standard_error**2  # precisions add up
+    room = 1 / (missing * c.inflation) - view.pool_variance if missing > 0 else math.inf
+    return per_draw / room if room > 0 else math.inf
 
 
 @dataclass(frozen=True, eq=False)

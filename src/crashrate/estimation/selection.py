@@ -87,9 +87,9 @@ def to_estimate(view: View, n: int, rng: np.random.Generator, towards: View | No
     Where the round is directed `towards` other traffic, most are drawn for that; the rest keep
     every draw possible that `view` would make, and its estimate of use.
     """
-    probabilities = _estimating(view)
+    probabilities = estimating(view)
     if towards is not None:
-        probabilities = DIRECTED * _estimating(towards) + (1 - DIRECTED) * probabilities
+        probabilities = DIRECTED * estimating(towards) + (1 - DIRECTED) * probabilities
     by_h = np.argsort(view.h, kind="stable")
     edges = np.cumsum(probabilities[by_h])
     ticks = (rng.random() + np.arange(n)) / n * edges[-1]
@@ -97,7 +97,8 @@ def to_estimate(view: View, n: int, rng: np.random.Generator, towards: View | No
     return Drawn(rows, probabilities)
 
 
-def _estimating(view: View) -> FloatArray:
+def estimating(view: View) -> FloatArray:
+    """Probability (N,) of each draw of the pool in one draw to estimate from."""
     spread = normalised(view.aimed_spread)
     likely = np.where(view.inner, 1.0, view.surrogate_h)
     parts = (

@@ -36,6 +36,7 @@ from crashrate.estimation.rounds import (
     not_refuted,
 )
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
+from crashrate.estimation.sizing import ROUND, last, size
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
@@ -47,7 +48,6 @@ from crashrate.variables import FloatArray
 BEGINNING, ENCOUNTERS, SURVEYS, MORE = 2_000_000, 2_000_001, 2_000_002, 3_000_000
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
-ROUND = 10
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
 AUDIT_SHARE = 0.25  # of the runs that no estimate is made of
 SCATTER_LIMIT = 3.0
@@ -172,7 +172,7 @@ def _round(
     unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
     learning = bool(unsure) and state.may_learn
     if learning:
-        n = _size(problem, state)
+        n = size(problem, state)
         audits = _audits(problem, state, wanted, n // 2, rng)
         rows = to_learn(wanted, n, audits, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
@@ -203,15 +203,6 @@ def _audits(
     return vouched_safe(problem, state.labels, view.pool, n)
 
 
-def _size(problem: Problem, state: State) -> int:
-    """Runs of the next round: a batch; large ones are grown into.
-
-    A thousand runs chosen by what forty taught would be spent at once. The budget has no say: what
-    is asked for first must not depend on how much may come after.
-    """
-    return min(problem.batch_size, max(ROUND, state.labels.n // 2))
-
-
 def _see(
     problem: Problem,
     state: State,
@@ -238,9 +229,10 @@ def _estimate(
     problem: Problem, state: State, view: View, snapshot: Snapshot, rng: np.random.Generator
 ) -> Generator[Query, FloatArray, tuple[Labels, tuple[Round, ...]]]:
     """Runs drawn with known probabilities, and a few that settle much through the order."""
-    n = _size(problem, state)
     wanted = towards(view, state.members)
-    n_aside = round(ASIDE_SHARE * n) if state.ordered else 0
+    n_last = last(problem, state, view)
+    n = n_last or size(problem, state)
+    n_aside = round(ASIDE_SHARE * n) if state.ordered and n_last is None else 0
     others = aside(wanted, n_aside, _audits(problem, state, wanted, n_aside, rng), rng)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))

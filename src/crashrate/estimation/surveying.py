@@ -13,7 +13,14 @@ import numpy as np
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.probing import ask, farthest, likeliest, reachable
+from crashrate.estimation.probing import (
+    NEGLIGIBLE_MASS,
+    RARE_MASS,
+    ask,
+    farthest,
+    likeliest,
+    reachable,
+)
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.sampling.pool import draw_pool
 from crashrate.variables import FloatArray
@@ -50,6 +57,7 @@ def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator)
     """Situations (n, d) where a crash would matter, each the farthest from all runs."""
     wide = inflated(problem.traffic, factors(INFLATION))
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-    rows = reachable(pool, likeliest(problem, labels))
+    least = NEGLIGIBLE_MASS if len(labels.crashes) else RARE_MASS
+    rows = reachable(pool, likeliest(problem, labels), least)
     chosen = farthest(pool.u[rows], labels.u, np.arange(len(rows)), n)
     return np.asarray(pool.x[rows][chosen])

@@ -1,0 +1,37 @@
+"""How many runs a round has."""
+
+import math
+
+from crashrate.estimation.rounds import MIN_ROUNDS, combine, draws_to, predicted_variance
+from crashrate.estimation.selection import estimating
+from crashrate.estimation.state import State
+from crashrate.estimation.strategy import Problem
+from crashrate.estimation.view import View
+
+ROUND = 10
+FEWEST = 3  # draws of a round
+
+
+def size(problem: Problem, state: State) -> int:
+    """Runs of the next round: a batch; large ones are grown into.
+
+    A thousand runs chosen by what forty taught would be spent at once. The budget has no say: what
+    is asked for first must not depend on how much may come after.
+    """
+    return min(problem.batch_size, max(ROUND, state.labels.n // 2))
+
+
+def last(problem: Problem, state: State, view: View) -> int | None:
+    """Draws of the next round if it is likely to be the last; None if it is not.
+
+    Nothing need be put aside for later rounds then, nor more be drawn than the target asks for. The
+    number follows from the past and the pool: the round stays unbiased.
+    """
+    aside = state.members or problem.aim_index is not None
+    if aside or len(state.rounds) < MIN_ROUNDS - 1:
+        return None
+    per_draw = predicted_variance(view, estimating(view), 1)
+    so_far = combine(state.rounds, problem.confidence)
+    target = problem.target_at(state.labels.n)
+    n = max(draws_to(target, so_far, view, per_draw, problem.confidence), FEWEST)
+    return math.ceil(n) if n <= size(problem, state) else None
