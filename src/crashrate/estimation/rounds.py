@@ -233,7 +233,9 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     )
 
 
-def draws_to(target: float, c: Combined, view: View, per_draw: float, confidence: float) -> float:
+def draws_to(
+    target: float, c: Combined, per_draw: float, of_pool: float, confidence: float
+) -> float:
     """Draws of one more round with which the interval would meet a relative half-width.
 
     Parameters
@@ -241,9 +243,8 @@ def draws_to(target: float, c: Combined, view: View, per_draw: float, confidence
     target : float
     c : Combined
         The rounds so far.
-    view : View
-    per_draw : float
-        Predicted variance of a draw's correction.
+    per_draw, of_pool : float
+        Predicted variance of a draw's correction, and that the pool adds.
     confidence : float
     """
     t = float(stdtrit(PRIOR_ROUNDS + c.n_rounds, 0.5 + confidence / 2))
@@ -251,7 +252,7 @@ def draws_to(target: float, c: Combined, view: View, per_draw: float, confidence
     if wanted <= 0:
         return math.inf
     missing = 1 / wanted - 1 / c.standard_error**2  # precisions add up
-    room = 1 / (missing * c.inflation) - view.pool_variance if missing > 0 else math.inf
+    room = 1 / (missing * c.inflation) - of_pool if missing > 0 else math.inf
     return per_draw / room if room > 0 else math.inf
 
 

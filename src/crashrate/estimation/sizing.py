@@ -30,8 +30,8 @@ def last(problem: Problem, state: State, view: View) -> int | None:
     aside = state.members or problem.aim_index is not None
     if aside or len(state.rounds) < MIN_ROUNDS - 1:
         return None
-    per_draw = predicted_variance(view, estimating(view), 1)
+    per_draw, of_pool = predicted_variance(view, estimating(view), 1), view.pool_variance
     so_far = combine(state.rounds, problem.confidence)
     target = problem.target_at(state.labels.n)
-    n = max(draws_to(target, so_far, view, per_draw, problem.confidence), FEWEST)
+    n = max(draws_to(target, so_far, per_draw, of_pool, problem.confidence), FEWEST)
     return math.ceil(n) if n <= size(problem, state) else None
