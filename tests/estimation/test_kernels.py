@@ -100,7 +100,7 @@ def test_soft_kernels_join_where_outcomes_contradict_an_order_deeply(cases, monk
 
 @pytest.mark.parametrize("bump", [0.1, 3.0])
 def test_far_from_every_run_is_safe_without_an_order_whatever_the_kernel(bump):
-    prior = kernels._prior(Kernel(bump, 1.0, 1e4), 2, directed=False, ordered=False)
+    prior = kernels._prior(Kernel(bump, 1.0, 1e4), 2, directed=False)
     far = np.array([[2.0, 2.0]])
     deviations = prior.mean(far) / np.sqrt(prior.variances(far))
     assert ndtr(deviations[0]) < FAR

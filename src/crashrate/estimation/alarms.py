@@ -71,7 +71,7 @@ class Alarm(StrEnum):
     )
     CONSEQUENCE_UNDETERMINED = (
         "too few simulator runs had one of the consequences, or a few of them carry most of it: "
-        "its interval is as wide as the draws alone leave it; aim at it to know more"
+        "its interval is rough; aim at it to know more"
     )
     ENCOUNTERS_DISAGREE = (
         "random encounters crash far more often than the estimate allows: the interval was widened "

@@ -25,7 +25,7 @@ from crashrate.estimation.labels import Labels
 from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.strategy import Problem, Query, Snapshot
-from crashrate.estimation.view import UNSURE, Standardiser, normalised
+from crashrate.estimation.view import UNSURE, UNSURE_OF_CRASH, Standardiser, normalised
 from crashrate.sampling.pool import Density, draw_pool
 from crashrate.variables import BoolArray, FloatArray
 
@@ -179,7 +179,7 @@ def _round(
 def _held(surrogate: Surrogate, standardise: Standardiser, u: FloatArray) -> FloatArray:
     if not len(u):
         return np.empty(0)
-    return np.clip(surrogate.predict(standardise(u)).probability, UNSURE, 1 - UNSURE)
+    return np.clip(surrogate.predict(standardise(u)).probability, UNSURE, 1 - UNSURE_OF_CRASH)
 
 
 def _see(

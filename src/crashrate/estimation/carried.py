@@ -78,7 +78,7 @@ def _measure(view: View, held: Moments, drawn: Drawn, z: FloatArray) -> Round:
         predicted=predicted,
         variance=float(at_least(drawing + pool, predicted)),
         n_draws=n,
-        squares=float(moved @ moved),
+        squares=float(moved @ moved) + pool,
         largest=float(np.abs(moved).max()),
     )
 

@@ -36,6 +36,8 @@ def expect(
     """Moments of each consequence at the draws of `view`."""
     events = np.flatnonzero(labels.y == 1)[-MAX_EVENTS:]
     near = np.flatnonzero(view.h > LIKELY)
+    if not len(near):
+        return tuple(_moments(view, *_constant(z)) for z in labels.z[events].T)
     seen, asked = (standardise(u) for u in (labels.u[events], view.pool.u[near]))
     depth = surrogate.predict(asked).danger
     likely = normalised((view.weights * view.h)[near])

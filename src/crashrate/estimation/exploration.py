@@ -143,7 +143,8 @@ def _inflate(
     # no draw lies in a corner of the box; where danger grows towards it, it is the place to look
     x = pool.x[worst]
     corner = _to_bounds(problem, labels, x)
-    labels = yield from ask(problem, labels, corner[None])
+    if not np.array_equal(corner, x):
+        labels = yield from ask(problem, labels, corner[None])
     if (labels.y == 1).any():
         labels = yield from _search_line(problem, labels, x, corner)
     return labels, wide, pool
@@ -154,13 +155,18 @@ def _to_bounds(problem: Problem, labels: Labels, x: FloatArray) -> FloatArray:
     for i, bounds in enumerate(zip(problem.traffic.lower, problem.traffic.upper, strict=True)):
         for bound in bounds:
             moved = np.where(np.arange(len(x)) == i, bound, x)
-            if np.isfinite(bound) and _dominates(*labels.coordinates(np.stack([moved, x]))):
+            if np.isfinite(bound) and _dominates(moved, x, labels):
                 x = moved
     return x
 
 
-def _dominates(u: FloatArray, v: FloatArray) -> bool:
-    return bool(np.isfinite(u).all() and (u >= v).all())
+def _dominates(x: FloatArray, y: FloatArray, labels: Labels) -> bool:
+    """Whether the order holds situation `x` (d,) to be no less dangerous than `y`."""
+    both = np.stack([x, y])
+    if not labels.has_coordinates(both).all():
+        return False
+    u, v = labels.coordinates(both)
+    return bool((u >= v).all())
 
 
 def _descend(problem: Problem, labels: Labels, pool: Pool) -> Asking:

@@ -165,20 +165,11 @@ def _moved(
     bound = np.where(x - traffic.lower < traffic.upper - x, traffic.lower, traffic.upper)
     there = np.isfinite(bound) & (rng.random(x.shape) < MOVED)
     moved = np.where(there, bound, x)[there.any(axis=1)]
-    moved = moved[_has_coordinates(moved, labels)]
+    moved = moved[labels.has_coordinates(moved)]
     u = labels.coordinates(moved)
     crash, safe = labels.implied(u)
     open_ = ~(crash | safe)
     return moved[open_], u[open_]
-
-
-def _has_coordinates(x: FloatArray, labels: Labels) -> BoolArray:
-    """Where all risk coordinates are finite: one over a range may not be so on its bound."""
-    order = labels.order
-    if order is None:
-        return np.ones(len(x), dtype=np.bool_)
-    values = [np.isfinite(order.coordinate(k, x)) for k in range(order.n_coordinates)]
-    return np.asarray(np.all(values, axis=0))
 
 
 def closest(gap: Gap, among: Candidates, n: int, rng: np.random.Generator) -> FloatArray:

@@ -77,7 +77,7 @@ class Model:
             kernel: fit_telling(
                 u,
                 crash,
-                _prior(kernel, d, directed=directed, ordered=labels.order is not None),
+                _prior(kernel, d, directed=directed),
                 warm.get(kernel, Sites.unknown(0)).grown(len(u)),
             )
             for kernel in (self._candidates(labels, directed=directed) if choose else (self.best,))
@@ -106,11 +106,11 @@ def _merit(fit: Surrogate, *, soft: bool) -> tuple[bool, float]:
     return fit.converged or not soft, fit.log_score - SUPPOSES_MORE * fit.prior.additive
 
 
-def _prior(kernel: Kernel, d: int, *, directed: bool, ordered: bool) -> Prior:
+def _prior(kernel: Kernel, d: int, *, directed: bool) -> Prior:
     bump, length, variance, additive = kernel
     length *= 1.0 if additive else math.sqrt(d / 3)
     if directed or kernel in SOFT:
-        slope = 1.0 if ordered else 0.0
+        slope = 1.0 if directed else 0.0
         return Prior(bump, length, variance, 1.0, slope=slope, constant=0.0, additive=additive)
     # without an order no direction is riskier, and far from any crash is safe
     far = FAR_SAFE * math.sqrt(bump + LINEAR)

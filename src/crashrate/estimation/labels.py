@@ -53,6 +53,13 @@ class Labels:
         """Risk coordinates of `x` (n, d): danger grows in each where an order is claimed."""
         return x if self.order is None else self.order(x)
 
+    def has_coordinates(self, x: FloatArray) -> BoolArray:
+        """Where all risk coordinates are finite: one over a range may not be so on its bound."""
+        if self.order is None:
+            return np.ones(len(x), dtype=np.bool_)
+        columns = [self.order.coordinate(k, x) for k in range(self.order.n_coordinates)]
+        return np.asarray(np.isfinite(columns).all(axis=0))
+
     def add(self, x: FloatArray, outcomes: FloatArray) -> Self:
         """With more outcomes (n,), or outcomes and consequences (n, 1 + K).
 
@@ -81,11 +88,6 @@ class Labels:
     def n(self) -> int:
         """Simulator runs so far."""
         return len(self.y)
-
-    @property
-    def n_z(self) -> int:
-        """Number of consequences."""
-        return int(self.z.shape[1])
 
     @property
     def known(self) -> BoolArray:

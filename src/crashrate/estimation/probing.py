@@ -21,7 +21,9 @@ MORE_PROBES = 3  # times as many where one of them contradicts: is it the order,
 # Shares of traffic's probability that searches leave out: the rarest events lie in a space about
 # twice as large as the others, and a small crash set is found the later in it.
 RARE_MASS, NEGLIGIBLE_MASS = 1e-8, 1e-11
-FAR_LESS = 3.0  # in log density: a region of crashes a twentieth as dense as known ones adds little
+# In log density, and for each variable: a region of crashes as much less dense than known ones adds
+# little. Of n variables typical situations lie n / 2 below the likeliest.
+FAR_LESS, FOR_EACH = 2.0, 0.5
 
 Asking = Generator[Query, FloatArray, Labels]
 EXPLORING = Snapshot()
@@ -46,7 +48,8 @@ def reachable(pool: Pool, likeliest: float = -np.inf, least: float = NEGLIGIBLE_
     by_density = np.argsort(pool.log_f)
     mass = np.cumsum(pool.weights[by_density])
     rows = by_density[mass > least * mass[-1]]
-    return np.asarray(rows[pool.log_f[rows] > likeliest - FAR_LESS])
+    far_less = FAR_LESS + FOR_EACH * pool.x.shape[1]
+    return np.asarray(rows[pool.log_f[rows] > likeliest - far_less])
 
 
 def likeliest(problem: Problem, labels: Labels) -> float:
@@ -78,6 +81,8 @@ def _untested(problem: Problem, labels: Labels, pool: Pool, times: int) -> Float
 
 def vouched_safe(problem: Problem, labels: Labels, pool: Pool, n: int) -> np.ndarray:
     """Up to `n` rows that only the order holds to be safe, far from all runs."""
+    if n == 0:
+        return np.empty(0, dtype=int)
     rows = reachable(pool, likeliest(problem, labels))
     safe = np.flatnonzero(labels.implied(pool.u[rows])[1])
     return np.asarray(rows[farthest(pool.u[rows], labels.u, safe, n)])

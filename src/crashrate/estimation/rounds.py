@@ -74,7 +74,8 @@ class Round:
     n_draws : int
         Draws, repetitions included.
     squares : float
-        Sum of the squared contributions of the draws: what `variance` predicted, as it came out.
+        Sum of the squared contributions of the draws, with the pool's part of `variance`: what was
+        predicted, as it came out.
     largest : float
         Largest contribution of a single run.
     members : Sums or None
@@ -116,7 +117,7 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
         predicted=view.probability,
         variance=float(at_least(variance, view.probability)),
         n_draws=n,
-        squares=float(moved @ moved),
+        squares=float(moved @ moved) + view.pool_variance,
         largest=largest,
         members=_under_members(view, drawn, moved),
     )
@@ -139,7 +140,7 @@ def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
         estimates=predicted + moved @ drawn_ratios,
         predicted=predicted,
         variances=at_least(spread @ ratios**2 + pool, predicted),
-        squares=moved**2 @ drawn_ratios**2,
+        squares=moved**2 @ drawn_ratios**2 + pool,
     )
 
 

@@ -127,7 +127,8 @@ def _belief(state: State) -> Belief:
 
 def _directed(problem: Problem, state: State, snapshot: Snapshot) -> State:
     """With the members that the next round looks at: after the target is met, a few times."""
-    whole = problem.max_calls - state.labels.n >= problem.batch_size  # cut, it would be no round
+    # cut, it would be no round
+    whole = problem.max_calls - state.labels.n >= size(problem, state)
     if snapshot.stop_reason is StopReason.RUNNING or not whole or state.n_directed == MAX_ROUNDS:
         return replace(state, members=())
     members = unclear(snapshot.traffic_range)
@@ -288,7 +289,7 @@ def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
         e = state.encounters or Encounters()
         seen = interval(e.n_crashes, e.n, problem.confidence)
         return replace(start, interval=seen, alarms=_alarms(problem, state, None, bounds))
-    c = combine(rounds, problem.confidence)
+    state, c = replace(state, rounds=rounds), combine(rounds, problem.confidence)
     n_runs = sum(r.n_runs for r in rounds)
     around = _interval(problem, state, c)
     return replace(
@@ -300,7 +301,7 @@ def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
         largest_weight_share=c.largest_share,
         log_efficiency=log_efficiency(c, n_runs),
         traffic_range=c.members,
-        consequences=_consequences(problem, replace(state, rounds=rounds), c, around),
+        consequences=_consequences(problem, state, c, around),
         alarms=_alarms(problem, state, c, bounds),
         phase="estimate",
         stop_reason=_stop(problem, state, c),

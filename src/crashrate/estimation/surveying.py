@@ -14,7 +14,6 @@ from crashrate.estimation.belief import Belief
 from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import (
-    NEGLIGIBLE_MASS,
     RARE_MASS,
     ask,
     farthest,
@@ -54,10 +53,13 @@ def survey(
 
 
 def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
-    """Situations (n, d) where a crash would matter, each the farthest from all runs."""
+    """Situations (n, d) each the farthest from all runs: half where a crash would matter most."""
     wide = inflated(problem.traffic, factors(INFLATION))
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-    least = NEGLIGIBLE_MASS if len(labels.crashes) else RARE_MASS
-    rows = reachable(pool, likeliest(problem, labels), least)
-    chosen = farthest(pool.u[rows], labels.u, np.arange(len(rows)), n)
-    return np.asarray(pool.x[rows][chosen])
+    known = likeliest(problem, labels)
+    near = reachable(pool, known) if known > -np.inf else np.empty(0, dtype=int)
+    first = farthest(pool.u, labels.u, near, n // 2)
+    everywhere = reachable(pool, least=RARE_MASS)
+    seen = np.concatenate([labels.u, pool.u[first]])
+    rest = farthest(pool.u, seen, everywhere, n - len(first))
+    return np.asarray(pool.x[np.concatenate([first, rest])])

@@ -16,10 +16,11 @@ from crashrate.variables import BoolArray, FloatArray
 # Least scale of the surrogate's coordinates, over the spread of the pool: a single coordinate's
 # edge is soon known so well that earlier runs would lie 10⁵ scales away, beyond double precision.
 MIN_SCALE = 0.01
+ROUNDING = 1e-12
 MAX_DRIFT = 0.3  # of center over scale, and of log scale, before the coordinates follow
 # A surrogate is never certain; but ordinary traffic has all the weight there is, and at 1e-9 it
 # would be taken for the largest doubt of all where crashes are rare and coordinates many.
-UNSURE = 1e-20
+UNSURE, UNSURE_OF_CRASH = 1e-20, 1e-9
 SHARP = 1e3  # variance of kernels under which outcomes differ across an edge, not by chance
 FAR = 1e-3  # without an order, what the surrogate holds below this is taken as safe …
 FAR_PROBABILITY = 1e-26  # … (NO_ORDER alarm): its tails are the prior's, not the data's
@@ -61,7 +62,8 @@ class Standardiser:
         center = weights @ u
         scale = np.sqrt(weights @ (u - center) ** 2)
         scale = np.maximum(scale, MIN_SCALE * u.std(axis=0))
-        return cls(center, np.where(scale > 0, scale, 1.0))  # a coordinate may be constant
+        varies = scale > ROUNDING * np.abs(u).max(axis=0)  # a coordinate may be constant
+        return cls(center, np.where(varies, scale, 1.0))
 
 
 @dataclass(frozen=True)
@@ -190,8 +192,9 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     """Look at `pool` through the outcomes and the surrogate fitted to them."""
     h, raw, inner, outside = held(pool.u, labels, surrogate, standardise)
     crash, safe = labels.implied(pool.u)
-    failed = standardise(labels.u[~labels.known])
-    failing = fails(surrogate.u, failed, standardise(pool.u)) & ~(inner | outside)
+    runs = standardise(labels.u)
+    known = np.concatenate([runs[labels.known], surrogate.u])  # ordinary traffic taken as safe too
+    failing = fails(known, runs[~labels.known], standardise(pool.u)) & ~(inner | outside)
     return View(pool, h, raw, inner, outside, crash, safe, failing)
 
 
@@ -200,7 +203,7 @@ def held(
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
     """What is held about risk coordinates `u` (n, m): `h`, `surrogate_h`, `inner`, `safe`."""
     seen = surrogate.predict(standardise(u))
-    raw = np.clip(seen.probability, UNSURE, 1 - UNSURE)
+    raw = np.clip(seen.probability, UNSURE, 1 - UNSURE_OF_CRASH)
     presumed_crash, presumed_safe = labels.presumed(u)
     inner, outside = presumed_crash & (raw > 1 - OBJECTION), presumed_safe & (raw < OBJECTION)
     h = np.where(inner, 1.0, np.where(outside, 0.0, raw))

@@ -10,7 +10,7 @@ from crashrate.traffic.log_mixture import LogMixture
 from crashrate.variables import FloatArray
 
 EM_STEPS = 15
-MIN_THICKNESS = 1e-5
+MIN_THICKNESS = 1e-4
 
 
 @dataclass(frozen=True)
