@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 # rounds, and draws.
 PRIOR_ROUNDS = 4
 PRIOR_DRAWS = 10
+BY_CHANCE = 0.5  # standard deviations of a scatter that are taken for chance
 MIN_ROUNDS = 3
 WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
 # Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
@@ -198,8 +199,8 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
 
     The interval is Student's, with the predicted variance inflated by what was seen: by the ratio
     of the draws' squared contributions to the predicted ones, or by the Birge ratio (Birge 1932) of
-    the rounds' scatter to the predicted one, less the standard deviation that it has by chance,
-    whichever is larger; both shrunk towards 1. Predictions alone are over-confident where the
+    the rounds' scatter to the predicted one, less half the standard deviation that it has by
+    chance, whichever is larger; both shrunk towards 1. Predictions alone are over-confident where the
     surrogate is (on the ACC+AEB plant by 1.3 in standard deviation). The squared contributions are
     many and tell the variance well, if no draw was an exception; the scatter, of few rounds, tells
     where one was: the larger of two noisy ratios would be too large. Where both say that the
@@ -274,7 +275,7 @@ def _together(share: FloatArray, sums: Sums, n_draws: int) -> _Together:
     counted = (share > 0).sum(axis=0)
     freedom = PRIOR_ROUNDS + counted - 1
     birge = (PRIOR_ROUNDS + (squares * (share > 0)).sum(axis=0)) / freedom
-    beyond_chance = birge / (1 + np.sqrt(2 / freedom))
+    beyond_chance = birge / (1 + BY_CHANCE * np.sqrt(2 / freedom))
     variance = (share**2 * sums.variances).sum(axis=0)
     seen = (share**2 * sums.squares).sum(axis=0)
     # squared contributions of the draws over the predicted ones, shrunk towards 1
