@@ -62,3 +62,9 @@ def test_without_consequences_outcomes_are_a_column():
 def test_names_are_different_texts(names):
     with pytest.raises(InvalidInputError, match="consequences: expected"):
         consequence_names(names)
+
+
+@pytest.mark.parametrize("told", [[None, None], ["yes", "no"]])
+def test_what_is_no_number_is_no_failed_simulation(told):
+    with pytest.raises(InvalidInputError, match="NaN"):
+        told_table(told, 2, ())

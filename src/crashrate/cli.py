@@ -260,7 +260,10 @@ def run(
         Goal | None, typer.Option(help="Target an estimate, or bounds if the risk order holds.")
     ] = None,
     aim: Annotated[
-        str | None, typer.Option(help="Target a consequence; the scenario's where not given.")
+        str | None,
+        typer.Option(
+            help="Target a consequence, or the event by its name; the scenario's where not given."
+        ),
     ] = None,
     replay_calls: Annotated[
         int,

@@ -48,11 +48,17 @@ def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
             f"tell: expected {n} outcomes, one per situation asked for, got a mapping; declare "
             "what it holds beside the event, as in consequences=('injury',)."
         )
-    y = np.asarray(told, dtype=np.float64)
-    if y.shape != (n,):
+    array = np.asarray(told)
+    if array.shape != (n,):
         raise InvalidInputError(
-            f"tell: expected {n} outcomes, one per situation asked for, got shape {y.shape}."
+            f"tell: expected {n} outcomes, one per situation asked for, got shape {array.shape}."
         )
+    if array.dtype.kind not in "biuf":
+        raise InvalidInputError(
+            f"tell: expected True, False or NaN (failed), got dtype {array.dtype}, such as "
+            f"{array[0]!r} (a function that returns None has no return)."
+        )
+    y = array.astype(np.float64)
     bad = np.flatnonzero(~(np.isnan(y) | (y == 0) | (y == 1)))
     if len(bad):
         raise InvalidInputError(
@@ -105,9 +111,10 @@ def _as_table(
 ) -> FloatArray:
     shape = (n, 1 + len(names))
     columns = ", ".join(("the event", *names))
+    parts = _columns(told, names, what, error) if isinstance(told, Mapping) else None
     try:
-        if isinstance(told, Mapping):
-            told = np.stack([np.asarray(c) for c in _columns(told, names, what, error)], axis=-1)
+        if parts is not None:
+            told = np.stack([np.asarray(part) for part in parts], axis=-1)
         table = np.asarray(told)
     except ValueError as why:
         raise error(

@@ -108,3 +108,22 @@ def test_labels_without_order_imply_nothing(cases):
     assert labels.implied(above)[0].tolist() == [True]
     assert labels.without_order().implied(above)[0].tolist() == [False]
     assert labels.without_order().contradictions == 0
+
+
+def test_a_coordinate_that_is_infinite_on_a_bound_is_not_tried_there(drive):
+    """A range bounded at 0, over which a coordinate is taken, and a vehicle that never crashes."""
+    traffic = TrafficModel(
+        [1.0], [[0.2, 0.05]], [np.diag([0.01, 0.0004])], [0.0, 0.0], [2.0, 1.0], ("ttc_", "r_")
+    )
+    order = RiskOrder.from_mapping(
+        {"closing": (lambda x: x[:, 0] / x[:, 1], "increasing")}, traffic.names
+    )
+    problem = Problem(traffic=traffic, order=order, max_calls=30)
+    found, _ = drive(explore(problem), lambda x: np.zeros(len(x)))
+    assert not found.found
+
+
+def test_inflated_is_no_wider_than_half_the_box():
+    traffic = TrafficModel([1.0], [[0.5]], [[[100.0]]], [0.0], [1.0], ("a",))
+    got = inflated(traffic, (1.0, 4.0))
+    assert np.allclose(np.sqrt(got.covariances.ravel()), 0.5)

@@ -7,6 +7,9 @@ import pytest
 
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.encounters import Encounters, interval
+from crashrate.estimation.exploration import inflated
+from crashrate.estimation.probing import reachable
+from crashrate.sampling.pool import draw_pool
 
 
 @pytest.mark.parametrize("method", ["sequential", "huang2017"])
@@ -30,3 +33,16 @@ def test_encounters_speak_against_an_estimate_far_below_them():
 
 def test_interval_without_runs_is_everything():
     assert interval(0, 0, 0.95) == (0.0, 1.0)
+
+
+def test_where_a_crash_would_matter_knows_the_number_of_variables(cases):
+    """Crashes on the other side are as likely, but not each as likely as the likeliest one."""
+    for d in (2, 10):
+        traffic, rng = cases.standard_normal(d), np.random.default_rng(d)
+        wide = inflated(traffic, (1.0, 4.0))
+        pool = draw_pool(wide, traffic, lambda x: x, 80_000, rng)
+        x = np.zeros((1, d))
+        x[0, 0] = 4.0
+        rows = reachable(pool, float(traffic.log_density(x)[0]))
+        assert (pool.x[rows, 0] < -4.0).sum() > 10
+        assert len(rows) < len(reachable(pool))

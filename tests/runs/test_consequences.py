@@ -190,4 +190,6 @@ def test_an_aim_must_be_declared(scenario, declared, go, tmp_path):
     assert aims.target.aim == "injury"
     with pytest.raises(InvalidInputError, match="aim: expected one of"):
         go(tmp_path, aim="depth")
+    at_the_event = go(tmp_path / "event", scenario=aims, aim="near miss")
+    assert not any(c.aimed for c in at_the_event.consequences)
     assert scenario.target.aim is None

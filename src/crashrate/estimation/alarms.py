@@ -85,7 +85,9 @@ class Alarm(StrEnum):
         "some simulations failed: the interval holds with each of those it rests on counted as a "
         "crash and as safe, and likewise with regions in which all runs failed"
     )
-    TARGET_NOT_REACHED = "the target was not reached before the budget ended"
+    TARGET_NOT_REACHED = (
+        "the budget ended before the target was reached, or before what it rests on was checked"
+    )
 
 
 class StopReason(StrEnum):

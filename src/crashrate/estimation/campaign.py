@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.crash_set.order import RiskOrder
-from crashrate.errors import CallOrderError
+from crashrate.errors import CallOrderError, InvalidInputError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.estimation.methods import TELL_MEMBERS, declared, method_for
@@ -52,7 +52,9 @@ class Campaign:
         no estimate and no interval, but an audit of the order. Its target is met when half the
         bracket is at most `relative_half_width` times its middle.
     batch_size : int
-        Simulator runs asked for at a time.
+        Most simulator runs asked for at a time. The search for a first crash and its edge asks for
+        one at a time; later rounds are at most half of the runs before them, and the last no larger
+        than the target needs. Larger batches take more runs.
     earlier_targets : sequence of (float, int)
         Half-widths that a resumed campaign aimed at before, each until so many simulator runs.
     earlier_budgets : sequence of (int, int)
@@ -97,6 +99,11 @@ class Campaign:
     ) -> None:
         steps = method_for(method, goal, ordered=risk is not None)
         names = declared(consequences, aim, method, goal)
+        if not isinstance(traffic, TrafficModel):
+            raise InvalidInputError(
+                "traffic: expected a TrafficModel, as TrafficModel.from_json(…) gives, got "
+                f"{type(traffic).__name__}."
+            )
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic = traffic
         # methods work where the components are normal; situations come out in the variables' units

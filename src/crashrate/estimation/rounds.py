@@ -200,10 +200,10 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     The interval is Student's, with the predicted variance inflated by what was seen: by the ratio
     of the draws' squared contributions to the predicted ones, or by the Birge ratio (Birge 1932) of
     the rounds' scatter to the predicted one, less half the standard deviation that it has by
-    chance, whichever is larger; both shrunk towards 1. Predictions alone are over-confident where the
-    surrogate is (on the ACC+AEB plant by 1.3 in standard deviation). The squared contributions are
-    many and tell the variance well, if no draw was an exception; the scatter, of few rounds, tells
-    where one was: the larger of two noisy ratios would be too large. Where both say that the
+    chance, whichever is larger; both shrunk towards 1. Predictions alone are over-confident where
+    the surrogate is (on the ACC+AEB plant by 1.3 in standard deviation). The squared contributions
+    are many and tell the variance well, if no draw was an exception; the scatter, of few rounds,
+    tells where one was: the larger of two noisy ratios would be too large. Where both say that the
     prediction was too large (a smooth edge is better known than the surrogate dares to hold), the
     interval narrows with them, within `MIN_INFLATION`.
     """

@@ -85,7 +85,8 @@ class Problem:
     def __post_init__(self) -> None:
         for name, kind in NUMBERS.items():
             if not isinstance(value := getattr(self, name), kind) or isinstance(value, bool):
-                raise InvalidInputError(f"{name}: expected a number, got {value!r}.")
+                expected = "an integer" if kind is Integral else "a number"
+                raise InvalidInputError(f"{name}: expected {expected}, got {value!r}.")
         checks = (
             (self.relative_half_width > 0, "relative_half_width", "a positive number"),
             (self.max_calls >= 1, "max_calls", "at least 1"),

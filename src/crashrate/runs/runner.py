@@ -92,7 +92,7 @@ def run(
     goal : optional
         As of `Campaign`; the scenario's where not given. Another one is another run.
     aim : optional
-        Likewise: the consequence that the target is for.
+        Likewise: the consequence that the target is for; the event's name for the event itself.
     same_vehicle : bool
         Whether the stored outcomes count although the simulator's source was edited since.
     events : EventTable, optional
@@ -138,7 +138,7 @@ def run(
         goal=goal or target.goal,
         batch_size=batch_size,
         consequences=scenario.outcome.consequences,
-        aim=aim or target.aim,
+        aim=target.aim if aim is None else _aimed(aim, scenario),
         earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
         earlier_budgets=[(b, n) for (b, _), (_, n) in pairwise(budgets)],
     )
@@ -188,6 +188,11 @@ def n_stored(directory: str | Path) -> int:
         return 0
     with RunStore.open(Path(directory)) as store:
         return store.n_runs()
+
+
+def _aimed(aim: str, scenario: Scenario) -> str | None:
+    """The consequence that is aimed at; None where the event itself is named."""
+    return None if aim == scenario.outcome.event else aim
 
 
 def _targets(directory: Path, target: Number, key: str) -> list[tuple[Number, int]]:

@@ -66,7 +66,7 @@ def check_outcomes(
     if array.dtype.kind not in "biuf":
         raise SimulationError(
             f"{what}: expected booleans, or the numbers 1, 0 and NaN (failed), got dtype "
-            f"{array.dtype}."
+            f"{array.dtype} (a function that returns None has no return)."
         )
     values = array.astype(np.float64)
     odd = np.flatnonzero(~(np.isnan(values) | (values == 0.0) | (values == 1.0)))
