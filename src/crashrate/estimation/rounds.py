@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 # rounds, and draws.
 PRIOR_ROUNDS = 4
 PRIOR_DRAWS = 10
-BY_CHANCE = 0.5  # standard deviations of a scatter that are taken for chance
 MIN_ROUNDS = 3
 WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
 # Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
@@ -199,13 +198,12 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
 
     The interval is Student's, with the predicted variance inflated by what was seen: by the ratio
     of the draws' squared contributions to the predicted ones, or by the Birge ratio (Birge 1932) of
-    the rounds' scatter to the predicted one, less half the standard deviation that it has by
-    chance, whichever is larger; both shrunk towards 1. Predictions alone are over-confident where
-    the surrogate is (on the ACC+AEB plant by 1.3 in standard deviation). The squared contributions
-    are many and tell the variance well, if no draw was an exception; the scatter, of few rounds,
-    tells where one was: the larger of two noisy ratios would be too large. Where both say that the
-    prediction was too large (a smooth edge is better known than the surrogate dares to hold), the
-    interval narrows with them, within `MIN_INFLATION`.
+    the rounds' scatter to the predicted one, whichever is larger; both shrunk towards 1.
+    Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
+    standard deviation). The squared contributions are many and tell the variance well, if no draw
+    was an exception; the scatter tells where one was. Where both say that the prediction was too
+    large (a smooth edge is better known than the surrogate dares to hold), the interval narrows
+    with them, within `MIN_INFLATION`.
     """
     rounds = not_refuted(rounds, float(np.median([r.predicted for r in rounds[-LATEST:]])))
     estimates, predicted, variances, squares = (
@@ -275,12 +273,11 @@ def _together(share: FloatArray, sums: Sums, n_draws: int) -> _Together:
     counted = (share > 0).sum(axis=0)
     freedom = PRIOR_ROUNDS + counted - 1
     birge = (PRIOR_ROUNDS + (squares * (share > 0)).sum(axis=0)) / freedom
-    beyond_chance = birge / (1 + BY_CHANCE * np.sqrt(2 / freedom))
     variance = (share**2 * sums.variances).sum(axis=0)
     seen = (share**2 * sums.squares).sum(axis=0)
     # squared contributions of the draws over the predicted ones, shrunk towards 1
     surprise = (PRIOR_DRAWS + n_draws * seen / variance) / (PRIOR_DRAWS + n_draws)
-    inflation = np.maximum(MIN_INFLATION, np.maximum(beyond_chance, surprise))
+    inflation = np.maximum(MIN_INFLATION, np.maximum(birge, surprise))
     return _Together(center, variance, squares.mean(axis=0), inflation)
 
 
