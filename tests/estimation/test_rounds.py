@@ -139,11 +139,11 @@ def test_predictions_that_are_too_large_narrow_the_interval_within_a_limit(check
 
 
 def test_draws_as_large_as_predicted_keep_the_interval():
-    calm = [0.5 + e / 1000 for e in (-0.1, 0.1, -0.1, 0.1)]
+    calm = [0.5 + e / 1000 for e in (-0.1, 0.1) * 8]
     predicted = combine([round_of(e, 0.01, squares=0.01) for e in calm], 0.95)
     smaller = combine([round_of(e, 0.01, squares=0.001) for e in calm], 0.95)
-    assert predicted.standard_error == pytest.approx(0.05)
-    assert smaller.standard_error == pytest.approx(0.05 * math.sqrt(MIN_INFLATION))
+    assert predicted.standard_error == pytest.approx(0.025)
+    assert smaller.standard_error == pytest.approx(0.025 * math.sqrt(MIN_INFLATION))
 
 
 def test_intervals_of_calibrated_rounds_pass_the_coverage_check(check_coverage):
