@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from crashrate.estimation.consequence import MIN_CARRYING, Consequence
-from crashrate.estimation.rounds import Round, at_least, combine
+from crashrate.estimation.rounds import Round, combine, corrected
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.view import Moments, View
 from crashrate.variables import FloatArray
@@ -48,38 +48,12 @@ def carry(view: View, drawn: Drawn, y: FloatArray, z: FloatArray) -> tuple[Carri
 def _carried(view: View, held: Moments, drawn: Drawn, y: FloatArray, z: FloatArray) -> Carried:
     rows, n = drawn.rows, len(drawn.rows)
     factor = view.weights[rows] / drawn.probabilities[rows]
-    event = factor * (y == 1)
+    event, spread = factor * (y == 1), view.weights * held.deviation
     return Carried(
-        _measure(view, held, drawn, z),
+        corrected(view, held.mean, np.where(view.failing, 0.0, spread), drawn, z)[0],
         events=float(event.sum()) / n,
         squares=float(event @ event) / n**2,
         carried=float(event @ np.nan_to_num(z)) / n,
-    )
-
-
-def _measure(view: View, held: Moments, drawn: Drawn, z: FloatArray) -> Round:
-    """`rounds.measure` with z and its moments in place of the event."""
-    rows, n = drawn.rows, len(drawn.rows)
-    m, part = held.mean[rows], view.weights * held.mean
-    factor = view.weights[rows] / drawn.probabilities[rows]
-    failed, predicted = np.isnan(z), float(part.sum())
-    failing = np.where(view.failing, view.weights, 0.0)
-    moved = factor * (np.where(failed, m, z) - m) / n
-    down, up = (float((factor * np.where(failed, e - m, 0.0)).sum() / n) for e in (0.0, 1.0))
-    estimate = predicted + float(moved.sum())
-    pool = max(float(part @ part) - predicted**2 / view.pool.n_drawn, 0.0)
-    spread = view.weights * held.deviation
-    drawing = float((spread**2 / np.maximum(drawn.probabilities, 1e-300)).sum() / n)
-    return Round(
-        n_runs=len(np.unique(rows)),
-        estimate=estimate,
-        lowest=estimate + down - float(failing @ held.mean),
-        highest=estimate + up + float(failing @ (1 - held.mean)),
-        predicted=predicted,
-        variance=float(at_least(drawing + pool, predicted)),
-        n_draws=n,
-        squares=float(moved @ moved) + pool,
-        largest=float(np.abs(moved).max()),
     )
 
 

@@ -7,7 +7,7 @@ al. 1992 §6.3). Given the past, E[e] = p whatever h is, as long as pr > 0 where
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -99,31 +99,51 @@ class Round:
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation."""
+    found, moved = corrected(view, view.h, view.spread, drawn, outcomes)
+    return replace(found, members=_under_members(view, drawn, moved))
+
+
+def corrected(
+    view: View, held: FloatArray, spread: FloatArray, drawn: Drawn, values: FloatArray
+) -> tuple[Round, FloatArray]:
+    """The round in which `drawn` had `values`, and what each draw (n,) moved it by.
+
+    Parameters
+    ----------
+    view : View
+    held, spread : ndarray, shape (N,)
+        Expectation of the value at each draw of the pool, and its weighted standard deviation.
+    drawn : Drawn
+    values : ndarray, shape (n,)
+        In [0, 1]; NaN for a failed simulation.
+    """
     rows, n = drawn.rows, len(drawn.rows)
-    h = view.h[rows]
-    factor = view.weights[rows] / drawn.probabilities[rows]
-    failed = np.isnan(outcomes)
-    moved = factor * (np.where(failed, h, outcomes) - h) / n
-    down, up = (float((factor * np.where(failed, e - h, 0.0)).sum() / n) for e in (0.0, 1.0))
-    failing = np.where(view.failing, view.weights, 0.0)
-    estimate = view.probability + float(moved.sum())
-    variance = predicted_variance(view, drawn.probabilities, n) + view.pool_variance
-    largest = float(np.abs(moved).max())
-    return Round(
+    factor, expected = view.weights[rows] / drawn.probabilities[rows], held[rows]
+    failed = np.isnan(values)
+    moved = factor * (np.where(failed, expected, values) - expected) / n
+    least, most = (
+        float((factor * np.where(failed, e - expected, 0.0)).sum() / n) for e in (0.0, 1.0)
+    )
+    failing, part = np.where(view.failing, view.weights, 0.0), view.weights * held
+    predicted = float(view.weights @ held)
+    of_pool = max(float(part @ part) - predicted**2 / view.pool.n_drawn, 0.0)
+    drawing = float(_variance_parts(spread, drawn.probabilities).sum() / n)
+    estimate = predicted + float(moved.sum())
+    found = Round(
         n_runs=len(np.unique(rows)),
         estimate=estimate,
-        lowest=estimate + down - float(failing @ view.h),
-        highest=estimate + up + float(failing @ (1 - view.h)),
-        predicted=view.probability,
-        variance=float(at_least(variance, view.probability)),
+        lowest=estimate + least - float(failing @ held),
+        highest=estimate + most + float(failing @ (1 - held)),
+        predicted=predicted,
+        variance=float(_at_least(drawing + of_pool, predicted)),
         n_draws=n,
-        squares=float(moved @ moved) + view.pool_variance,
-        largest=largest,
-        members=_under_members(view, drawn, moved),
+        squares=float(moved @ moved) + of_pool,
+        largest=float(np.abs(moved).max()),
     )
+    return found, moved
 
 
-def at_least(variance: Values, predicted: Values) -> FloatArray:
+def _at_least(variance: Values, predicted: Values) -> FloatArray:
     """`variance`, or that of the surest prediction allowed."""
     return np.maximum(variance, np.maximum((CERTAIN * np.asarray(predicted)) ** 2, TINY))
 
@@ -134,24 +154,24 @@ def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
         return None
     part, drawn_ratios = view.weights * view.h, ratios[drawn.rows]
     predicted = part @ ratios
-    spread = _variance_parts(view, drawn.probabilities) / len(drawn.rows)
+    spread = _variance_parts(view.spread, drawn.probabilities) / len(drawn.rows)
     pool = np.maximum((part**2) @ ratios**2 - predicted**2 / view.pool.n_drawn, 0.0)
     return Sums(
         estimates=predicted + moved @ drawn_ratios,
         predicted=predicted,
-        variances=at_least(spread @ ratios**2 + pool, predicted),
+        variances=_at_least(spread @ ratios**2 + pool, predicted),
         squares=moved**2 @ drawn_ratios**2 + pool,
     )
 
 
 def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
     """Variance of the correction if h is right: Σ w² h (1-h) / pr / n."""
-    return float(_variance_parts(view, probabilities).sum() / n)
+    return float(_variance_parts(view.spread, probabilities).sum() / n)
 
 
-def _variance_parts(view: View, probabilities: FloatArray) -> FloatArray:
+def _variance_parts(spread: FloatArray, probabilities: FloatArray) -> FloatArray:
     """What each draw of the pool adds to the variance of one draw's correction."""
-    return view.spread**2 / np.maximum(probabilities, 1e-300)
+    return spread**2 / np.maximum(probabilities, 1e-300)
 
 
 @dataclass(frozen=True)
