@@ -139,3 +139,17 @@ def test_few_events_with_a_consequence_give_intervals_that_hold(share):
         low, high = together("rare", found, 0, (1e-6, 1e-6), 0.95, aimed=False).interval
         held += low <= share * 1e-6 <= high
     assert binom.cdf(held, times, 0.95) > 1e-3
+
+
+def test_where_the_simulator_fails_a_consequence_may_be_all_or_nothing(seen):
+    view, y, mean = seen
+    failing = view.undecided & (np.arange(len(y)) % 7 == 0)
+    assert failing.any()
+    rng = np.random.default_rng(12)
+    with_it = replace(view, failing=failing)
+    drawn = to_estimate(with_it, 6, rng)
+    assert not failing[drawn.rows].any()
+    got = carry(with_it, drawn, y[drawn.rows], mean[drawn.rows][:, None])[0].round
+    assert np.isfinite(got.variance)
+    mass = float(view.weights @ failing)
+    assert got.highest - got.lowest == pytest.approx(mass)
