@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 # The ratios of scatter seen to scatter predicted are shrunk to 1 with the weight of this many
 # rounds, and draws.
 PRIOR_ROUNDS = 4
-PRIOR_DRAWS = 10
+PRIOR_DRAWS = 20
 MIN_ROUNDS = 3
 WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
 # Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
-MIN_INFLATION = 0.4
+MIN_INFLATION = 0.7
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40

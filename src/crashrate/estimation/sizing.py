@@ -9,7 +9,7 @@ from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import View
 
 ROUND = 10
-FEWEST = 6  # draws of a round: to look more often is to stop at the first lucky look
+FEWEST = ROUND  # draws of the last round: to look more often is to stop at the first lucky look
 
 
 def size(problem: Problem, state: State) -> int:
