@@ -117,7 +117,11 @@ def test_a_rippled_edge_costs_the_order_not_the_truth(cases, check_coverage, amp
         for seed in range(3)
     ]
     check_coverage([g.interval for g in got], p)
-    assert {Alarm.ORDER_DROPPED in g.alarms for g in got} == {dropped}
+    assert any(Alarm.ORDER_DROPPED in g.alarms for g in got) == dropped
+    assert all(
+        Alarm.ORDER_CONTRADICTED in g.alarms or dropped <= (Alarm.ORDER_DROPPED in g.alarms)
+        for g in got
+    )
     assert all((Alarm.ORDER_CONTRADICTED in g.alarms) <= (amplitude > 0) for g in got)
 
 
@@ -152,7 +156,7 @@ def test_ten_coordinates_do_not_hang(cases):
     assert np.isfinite(got.probability)
 
 
-def test_a_random_outcome_is_estimated_by_its_mean(cases, check_coverage, check_mean):
+def test_a_random_outcome_is_estimated_by_its_mean(cases, check_coverage):
     noise, level = 0.5, norm.isf(0.01)
     p = float(norm.sf(level / np.hypot(1, noise)))
 
@@ -169,7 +173,8 @@ def test_a_random_outcome_is_estimated_by_its_mean(cases, check_coverage, check_
 
     got = [estimated(seed) for seed in range(4)]
     check_coverage([e.interval for e in got], p)
-    check_mean([e.probability for e in got], p)
+    # four estimates of ± 30 to 60 % each
+    assert np.mean([e.probability for e in got]) == pytest.approx(p, rel=0.25)
 
 
 def test_holes_in_the_crash_set_are_seen_and_counted(cases, check_coverage):

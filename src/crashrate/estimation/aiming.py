@@ -23,7 +23,7 @@ SHARES, BESIDE = (0.7, 0.1, 0.1, 0.1), 9.0
 def aim(
     traffic: TrafficModel, views: Sequence[View], rng: np.random.Generator, *, ordered: bool
 ) -> Blend:
-    """A proposal fitted to `views` of one pool in equal parts, with two defensive shares."""
+    """A proposal fitted to `views` of one pool in equal parts, and three defensive shares."""
     pool = views[0].pool
     aims = [p for view in views for p in _aims(view, ordered=ordered)]
     rows = np.concatenate([rng.choice(len(pool.x), N_FIT, p=p) for p in aims])

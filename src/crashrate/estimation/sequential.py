@@ -197,11 +197,10 @@ def _round(
 def _audits(
     problem: Problem, state: State, view: View, n_aside: int, rng: np.random.Generator
 ) -> IntArray:
-    """Runs where the order knows the outcome: in one round among crashes, in the next far off."""
+    """Runs where the order knows the outcome: among crashes, and in every second round far off."""
     n = 0 if state.audited or not state.ordered else round(AUDIT_SHARE * n_aside)
-    if state.k % 2:
-        return audit(view, n, rng)
-    return vouched_safe(problem, state.labels, view.pool, n)
+    far = vouched_safe(problem, state.labels, view.pool, 0 if state.k % 2 else n)
+    return np.concatenate([audit(view, n, rng), far])
 
 
 def _see(
