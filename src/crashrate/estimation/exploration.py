@@ -9,7 +9,6 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from crashrate.crash_set.fronts import maximal
 from crashrate.estimation.labels import Labels
@@ -18,6 +17,7 @@ from crashrate.estimation.probing import (
     RARE_MASS,
     Asking,
     ask,
+    farthest,
     probe,
     reachable,
 )
@@ -192,21 +192,12 @@ def _fill_space(
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
     for least, most in FILLING:
         rows = reachable(pool, least=least)
-        labels = yield from _fill(problem, labels, pool.x[rows], pool.u[rows], most)
-    return labels
-
-
-def _fill(problem: Problem, labels: Labels, x: FloatArray, u: FloatArray, most: int) -> Asking:
-    scale = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
-    z, center = u / scale, u.mean(axis=0) / scale
-    known = labels.u / scale if labels.n else center[None]
-    distance = cKDTree(known).query(z)[0]
-    for _ in range(most):
-        if (labels.y == 1).any() or labels.n >= problem.max_calls:
-            break
-        row = int(distance.argmax())
-        labels = yield from ask(problem, labels, x[row : row + 1])
-        distance = np.minimum(distance, np.sqrt(((z - z[row]) ** 2).sum(axis=1)))
+        u = pool.u[rows]
+        # the places do not depend on outcomes, only how many of them are simulated
+        for row in rows[farthest(u, labels.u, np.arange(len(u)), most)]:
+            if (labels.y == 1).any() or labels.n >= problem.max_calls:
+                return labels
+            labels = yield from ask(problem, labels, pool.x[row : row + 1])
     return labels
 
 

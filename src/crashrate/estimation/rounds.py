@@ -124,9 +124,8 @@ def corrected(
     least, most = (
         float((factor * np.where(failed, e - expected, 0.0)).sum() / n) for e in (0.0, 1.0)
     )
-    failing, part = np.where(view.failing, view.weights, 0.0), view.weights * held
-    predicted = float(view.weights @ held)
-    of_pool = max(float(part @ part) - predicted**2 / view.pool.n_drawn, 0.0)
+    failing = np.where(view.failing, view.weights, 0.0)
+    predicted, of_pool = float(view.weights @ held), view.variance_of(held)
     drawing = float(_variance_parts(spread, drawn.probabilities).sum() / n)
     estimate = predicted + float(moved.sum())
     found = Round(

@@ -150,8 +150,12 @@ class View:
     @property
     def pool_variance(self) -> float:
         """Of `probability`, because the pool is finite."""
-        part = self.weights * self.h
-        return max(float(part @ part) - self.probability**2 / self.pool.n_drawn, 0.0)
+        return self.variance_of(self.h)
+
+    def variance_of(self, held: FloatArray) -> float:
+        """Of Σ w held (n,), because the pool is finite."""
+        part, total = self.weights * held, float(self.weights @ held)
+        return max(float(part @ part) - total**2 / self.pool.n_drawn, 0.0)
 
     @cached_property
     def learning(self) -> FloatArray:
