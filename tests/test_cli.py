@@ -171,14 +171,14 @@ def test_target_met_leaves_with_0_and_the_sentence(small, quick):
     done = small_run(small, "--max-calls", "20")
     assert done.exit_code == 0
     assert done.stdout.startswith(
-        "P(crash) = 2.5e-01 per lane change, 95 % Monte Carlo interval [2.0e-01, "
+        "P(crash) = 2.5e-01 per encounter, 95 % Monte Carlo interval [2.0e-01, "
     )
     assert len(done.stdout.splitlines()) == 1
     assert f"Alarm: {Alarm.WEIGHTS_CONCENTRATED}." in done.stderr
     assert "Stopped: the target was met." in done.stderr
     assert "ynthetic" not in done.output
     page = (small / "run" / "report.html").read_text()
-    assert "per lane change, 95 % Monte Carlo interval" in page
+    assert "per encounter, 95 % Monte Carlo interval" in page
 
 
 METHODS = ("sequential", "huang2017", "crude", "cross-entropy")
@@ -560,6 +560,6 @@ def test_consequences_are_declared_aimed_at_and_printed(small, quick, monkeypatc
     assert told.exit_code == 3, told.stderr
     lines = told.stdout.splitlines()
     assert lines[0].startswith("P(crash) = ")
-    assert lines[1].startswith("E(injury) ≤ 3.0e-01 per lane change: not determined")
+    assert lines[1].startswith("E(injury) ≤ 3.0e-01 per encounter: not determined")
     assert load_run(small / "run").result["consequences"][0]["aimed"]
     assert "expected one of" in small_run(small, "--aim", "injuries").stderr

@@ -310,7 +310,7 @@ def run(
             same_vehicle=same_vehicle,
             events=events,
             replay_calls=replay_calls,
-            on_progress=lambda campaign: say(standing(campaign)),
+            on_progress=lambda campaign: say(standing(campaign, n_stored)),
             say=say,
         )
     _finish(out, estimate, output, n_stored)
@@ -364,7 +364,7 @@ def demo(
             folder,
             seed=seed,
             events=events,
-            on_progress=lambda campaign: say(standing(campaign)),
+            on_progress=lambda campaign: say(standing(campaign, n_stored)),
             say=say,
         )
     _finish(folder, estimate, Format.TEXT, n_stored)

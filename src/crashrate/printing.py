@@ -169,10 +169,11 @@ def runs(n: int, word: str) -> str:
     return f"{n} {word}" if n == 1 else f"{n} {word}s"
 
 
-def standing(campaign: "Campaign") -> str:
-    """How a campaign stands, on one line of progress."""
+def standing(campaign: "Campaign", n_stored: int = 0) -> str:
+    """How a campaign stands, on one line of progress; the first `n_stored` runs are not new."""
     snapshot, calls = campaign.snapshot, campaign.n_calls
-    text = f"{runs(calls, 'simulator run')}, {snapshot.phase}"
+    stored = f" (of {n_stored} stored)" * (calls <= n_stored)
+    text = f"{runs(calls, 'simulator run')}{stored}, {snapshot.phase}"
     if campaign.goal == "bounds":
         low, high = snapshot.bounds
         return f"{text}: {low:.1e} ≤ P ≤ {high:.1e}" if low > 0 else text

@@ -52,7 +52,7 @@ def test_a_wider_confidence_asks_for_more_crude_runs():
 
 def test_sentence():
     assert ANSWER.sentence() == (
-        "P(crash) = 2.0e-06 per lane change, 95 % Monte Carlo interval [1.8e-06, 2.2e-06] "
+        "P(crash) = 2.0e-06 per encounter, 95 % Monte Carlo interval [1.8e-06, 2.2e-06] "
         "(± 10 %); 100 simulator runs; crude Monte Carlo would need 190 million"
     )
     assert "P(crash) has no estimate yet" in NOTHING.sentence()
@@ -64,7 +64,7 @@ def test_sentence():
 def test_sentence_of_bounds():
     bounds = replace(NOTHING, goal="bounds", bounds=(9e-7, 1.08e-6), n_crashes=40)
     assert bounds.sentence() == (
-        "bounds if the risk order holds: 9.0e-07 ≤ P(crash) ≤ 1.1e-06 per lane change, a factor "
+        "bounds if the risk order holds: 9.0e-07 ≤ P(crash) ≤ 1.1e-06 per encounter, a factor "
         "of 1.2; 100 simulator runs"
     )
     one_sided = replace(bounds, bounds=(0.0, 1e-3))

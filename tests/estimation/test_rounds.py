@@ -142,8 +142,32 @@ def test_draws_as_large_as_predicted_keep_the_interval():
     calm = [0.5 + e / 1000 for e in (-0.1, 0.1) * 8]
     predicted = combine([round_of(e, 0.01, squares=0.01) for e in calm], 0.95)
     smaller = combine([round_of(e, 0.01, squares=0.001) for e in calm], 0.95)
-    assert predicted.standard_error == pytest.approx(0.025)
+    assert 0.9 * 0.025 < predicted.standard_error < 0.025  # the rounds hardly scatter
     assert smaller.standard_error == pytest.approx(0.025 * math.sqrt(MIN_INFLATION))
+
+
+def widened_by_ten_deviations(variance):
+    """Of six late rounds of variance 1e-6 and one more, as much as ten deviations off."""
+    late = [round_of(0.1 + e * 1e-3, 1e-6) for e in (-1, 1, -1, 1, -1, 1)]
+    off = 10 * math.sqrt(variance)
+    as_predicted, surprising = (
+        combine([round_of(0.1 + shift, variance, squares=shift**2), *late], 0.95)
+        for shift in (math.sqrt(variance), off)
+    )
+    return surprising.half_width / as_predicted.half_width
+
+
+def test_a_surprise_widens_the_interval_by_its_part_in_the_estimate():
+    assert 1 < widened_by_ten_deviations(1e-4) < 1.2  # a hundredth of the late ones' weight
+    assert widened_by_ten_deviations(1e-6) > 2
+
+
+def test_rounds_count_by_their_part():
+    alike = combine([round_of(0.1, 1e-6)] * 5, 0.95)
+    one_hardly = combine([round_of(0.1, 1e-2), *[round_of(0.1, 1e-6)] * 5], 0.95)
+    assert one_hardly.n_rounds == 6
+    assert one_hardly.freedom == pytest.approx(alike.freedom, rel=1e-3)
+    assert combine([round_of(0.1, 1e-6)] * 6, 0.95).freedom > alike.freedom + 1
 
 
 def test_intervals_of_calibrated_rounds_pass_the_coverage_check(check_coverage):
@@ -171,7 +195,7 @@ def test_one_round_is_its_own_combination():
     got = combine([round_of(0.5, 0.01)], 0.95)
     assert got.estimate == 0.5
     assert got.standard_error == pytest.approx(0.1)
-    assert got.half_width == pytest.approx(0.1 * 2.776, rel=1e-3)  # Student, 4 degrees
+    assert got.half_width == pytest.approx(0.1 * 2.402, rel=1e-3)  # Student, 6.5 degrees
 
 
 def test_scatter_widens_the_interval():

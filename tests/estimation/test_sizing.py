@@ -4,10 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
-from crashrate.estimation.rounds import MIN_ROUNDS, Round, combine, draws_to
-from crashrate.estimation.selection import to_estimate
-from crashrate.estimation.sizing import FEWEST, ROUND, last, size
+from crashrate.estimation.rounds import (
+    MIN_ROUNDS,
+    PRIOR_ROUNDS,
+    Round,
+    combine,
+    draws_to,
+    predicted_variance,
+)
+from crashrate.estimation.selection import estimating, to_estimate
+from crashrate.estimation.sizing import FEWEST, ROUND, last, learning_pays, size
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem
 
@@ -63,7 +71,7 @@ def test_as_many_draws_as_the_target_asks_for():
     for n, met in ((tight, True), (tight / 2, False)):
         variance = so_far.inflation * (per_draw / n + of_pool)
         precision = 1 / so_far.standard_error**2 + 1 / variance
-        half_width = 2.306 / math.sqrt(precision)  # Student, 8 degrees
+        half_width = stdtrit(so_far.freedom + 1, 0.975) / math.sqrt(precision)
         assert (half_width <= 0.2 * so_far.estimate) == met
     assert (
         draws_to(1e-4, so_far, per_draw, of_pool, 0.95) == math.inf
@@ -76,6 +84,36 @@ def test_a_round_is_the_last_only_after_two_others_and_where_a_batch_suffices(pr
     assert last(problem(), state_of(100, near[:1]), view) is None
     assert last(problem(), state_of(100, near), view) == FEWEST
     assert last(problem(relative_half_width=1e-6), state_of(100, near), view) is None
+
+
+def falling(view, factor, n=4):
+    """Rounds of ten draws, each of `factor` times the relative variance, down to the view's."""
+    relative = predicted_variance(view, estimating(view), 10) / view.probability**2
+    return tuple(rounds_of(1, relative * 0.02**2 * factor ** (i - n))[0] for i in range(n))
+
+
+@pytest.mark.parametrize(
+    ("factor", "target", "pays"),
+    [
+        (0.6, 1e-4, True),  # every round makes the next one better
+        (1.0, 1e-4, False),  # nothing is left to learn
+        (1.2, 1e-4, False),
+        (0.6, 10.0, False),  # the target is met as it is
+    ],
+)
+def test_learning_pays_while_the_variance_falls(problem, toy_view, factor, target, pays):
+    view, _ = toy_view(np.random.default_rng(0))
+    state = state_of(100, falling(view, factor))
+    found = learning_pays(problem(relative_half_width=target), state, view, 0.4)
+    assert found == pays
+
+
+def test_learning_pays_where_nothing_tells_that_it_does_not(problem, toy_view):
+    view, _ = toy_view(np.random.default_rng(0))
+    flat = falling(view, 1.0)
+    assert learning_pays(problem(), state_of(100, flat[:1]), view, 0.4)
+    aimed = problem(consequences=("harm",), aim="harm")
+    assert learning_pays(aimed, state_of(100, flat), view, 0.4)
 
 
 def test_a_campaign_asks_for_no_more_than_it_needs(cases):

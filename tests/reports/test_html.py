@@ -48,7 +48,7 @@ class Page(HTMLParser):
 def test_the_page_says_the_numbers_of_the_result(build):
     page = Page(render_report(build()))
     for said in (
-        "P(crash) = 2.0 × 10⁻⁶ per lane change, 95 % Monte Carlo interval [1.8 × 10⁻⁶, 2.2 × 10⁻⁶]",
+        "P(crash) = 2.0 × 10⁻⁶ per encounter, 95 % Monte Carlo interval [1.8 × 10⁻⁶, 2.2 × 10⁻⁶]",
         "200 simulator runs; crude Monte Carlo would need 190 million",
         "1.2 × 10⁻⁶ ≤ p ≤ 8.1 × 10⁻⁶",
         "about one in 510,000",
@@ -68,7 +68,7 @@ def test_the_page_says_the_numbers_of_the_result(build):
 def test_consequences_stand_near_the_answer(build, estimate, consequences):
     page = Page(render_report(build(estimate=estimate(consequences=consequences))))
     for said in (
-        "ConsequenceExpected per lane change",
+        "ConsequenceExpected per encounter",
         "injury (aimed at)9.9 × 10⁻⁷",
         "(± 11 %)50 %60",
         "severenot determined",

@@ -55,7 +55,7 @@ class Consequence:
         """Whether enough runs had it for the interval to rest on them."""
         return self.n_eff >= MIN_N_EFF and self.n_carrying >= MIN_CARRYING
 
-    def sentence(self, per: str = "lane change") -> str:
+    def sentence(self, per: str = "encounter") -> str:
         """The answer in one sentence."""
         low, high = self.interval
         if not self.determined:
@@ -66,7 +66,7 @@ class Consequence:
         about = f" (± {100 * relative:.0f} %)" if relative <= 1 else ""
         return f"E({self.name}) = {self.mean:.1e} per {per}, [{low:.1e}, {high:.1e}]{about}"
 
-    def to_dict(self, per: str = "lane change") -> dict[str, object]:
+    def to_dict(self, per: str = "encounter") -> dict[str, object]:
         """As JSON-ready values, but for numbers that are not finite."""
         return vars(self) | {
             "interval": list(self.interval),

@@ -117,7 +117,7 @@ class Estimate:
         """Crude Monte Carlo runs that each simulator run replaces."""
         return self.crude_monte_carlo_calls / self.n_calls if self.n_calls else math.nan
 
-    def sentence(self, event: str = "crash", per: str = "lane change") -> str:
+    def sentence(self, event: str = "crash", per: str = "encounter") -> str:
         """The answer in one sentence."""
         if self.goal == "bounds":
             return f"{self._bracket(event, per)}; {self._runs()}"
@@ -165,7 +165,7 @@ class Estimate:
             return ""
         return f"; crude Monte Carlo would need {in_words(calls)}"
 
-    def to_dict(self, per: str = "lane change") -> dict[str, Any]:
+    def to_dict(self, per: str = "encounter") -> dict[str, Any]:
         """The estimate as JSON-ready values; numbers that are not finite become None.
 
         `per` names what the consequences' sentences count.

@@ -21,14 +21,17 @@ from crashrate.variables import FloatArray
 if TYPE_CHECKING:
     from crashrate.estimation.carried import Carried
 
-# The ratios of scatter seen to scatter predicted are shrunk to 1 with the weight of this many
-# rounds, and draws.
+# What was seen is shrunk to what was predicted with the weight of this many rounds. The square of a
+# draw's contribution tells half as much of the variance as that of a round's deviation: most draws
+# are no surprise.
 PRIOR_ROUNDS = 4
-PRIOR_DRAWS = 20
+DRAW_WORTH = 0.5
+DRAW_FREEDOM = 0.5  # degrees of freedom of what draws are worth: a few large ones make up the sum
+CHANCE = 1.4  # a ratio of scatter so large may be chance; what is beyond it counts alone
 MIN_ROUNDS = 3
 WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
 # Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
-MIN_INFLATION = 0.7
+MIN_INFLATION = 0.5
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
@@ -191,6 +194,8 @@ class Combined:
         Largest contribution of a single run over the estimate.
     inflation : float
         Of the predicted variance, by what was seen.
+    freedom : float
+        Degrees of freedom of the variance.
     members : TrafficRange or None
         The estimates under the traffic model's members.
     """
@@ -204,6 +209,7 @@ class Combined:
     n_rounds: int
     largest_share: float
     inflation: float
+    freedom: float
     members: TrafficRange | None = None
 
 
@@ -215,14 +221,13 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     surrogate that for one round predicts many times the usual is wrong, and its round is noise: its
     variance counts as it is.)
 
-    The interval is Student's, with the predicted variance inflated by what was seen: by the ratio
-    of the draws' squared contributions to the predicted ones, or by the Birge ratio (Birge 1932) of
-    the rounds' scatter to the predicted one, whichever is larger; both shrunk towards 1.
+    The interval is Student's, with the predicted variance inflated by what was seen: the ratio of
+    the draws' squared contributions to the predicted ones and the Birge ratio (Birge 1932) of the
+    rounds' scatter to the predicted one, pooled by what each can tell, and shrunk towards 1.
     Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
-    standard deviation). The squared contributions are many and tell the variance well, if no draw
-    was an exception; the scatter tells where one was. Where both say that the prediction was too
-    large (a smooth edge is better known than the surrogate dares to hold), the interval narrows
-    with them, within `MIN_INFLATION`.
+    standard deviation), and too careful at a smooth edge. Rounds count by their part in the
+    variance of the whole: what an early surrogate got wrong says little of a late one. Scatter
+    beyond chance counts alone: a pool that misses crashes is seen by no draw of its own.
     """
     rounds = not_refuted(rounds, float(np.median([r.predicted for r in rounds[-LATEST:]])))
     estimates, predicted, variances, squares = (
@@ -230,10 +235,10 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         for name in ("estimate", "predicted", "variance", "squares")
     )
     share = _shares(predicted, variances)
-    n_draws = sum(r.n_draws for r in rounds)
+    n_draws = sum(r.n_draws for r in rounds) / len(rounds)
     found = _together(share, Sums(estimates, predicted, variances, squares), n_draws)
     center, error = float(found.center), math.sqrt(found.inflation * found.variance)
-    half_width = float(stdtrit(_freedom(rounds), 0.5 + confidence / 2)) * error
+    half_width = float(stdtrit(found.freedom, 0.5 + confidence / 2)) * error
     lowest = float(share @ np.array([r.lowest for r in rounds]))
     highest = float(share @ np.array([r.highest for r in rounds]))
     largest = float((share * np.array([r.largest for r in rounds])).max())
@@ -248,6 +253,7 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         scatter=float(found.scatter),
         largest_share=largest / center if center > 0 else 1.0,
         inflation=float(found.inflation),
+        freedom=float(found.freedom),
         members=_members(rounds, n_draws, float(found.inflation)),
     )
 
@@ -266,7 +272,7 @@ def draws_to(
         Predicted variance of a draw's correction, and that the pool adds.
     confidence : float
     """
-    t = float(stdtrit(PRIOR_ROUNDS + c.n_rounds, 0.5 + confidence / 2))
+    t = float(stdtrit(c.freedom + 1, 0.5 + confidence / 2))
     wanted = (WELL_WITHIN * target * c.estimate / t) ** 2
     if wanted <= 0:
         return math.inf
@@ -283,28 +289,26 @@ class _Together:
     variance: FloatArray
     scatter: FloatArray
     inflation: FloatArray
+    freedom: FloatArray
 
 
-def _together(share: FloatArray, sums: Sums, n_draws: int) -> _Together:
-    """Rounds (R, ...) combined by their shares (R, ...)."""
+def _together(share: FloatArray, sums: Sums, n_draws: float) -> _Together:
+    """Rounds (R, ...) of `n_draws` on average, combined by their shares (R, ...)."""
     center = (share * sums.estimates).sum(axis=0)
     squares = (sums.estimates - center) ** 2 / sums.variances
-    counted = (share > 0).sum(axis=0)
-    freedom = PRIOR_ROUNDS + counted - 1
-    birge = (PRIOR_ROUNDS + (squares * (share > 0)).sum(axis=0)) / freedom
     variance = (share**2 * sums.variances).sum(axis=0)
-    seen = (share**2 * sums.squares).sum(axis=0)
-    # squared contributions of the draws over the predicted ones, shrunk towards 1
-    surprise = (PRIOR_DRAWS + n_draws * seen / variance) / (PRIOR_DRAWS + n_draws)
-    inflation = np.maximum(MIN_INFLATION, np.maximum(birge, surprise))
-    return _Together(center, variance, squares.mean(axis=0), inflation)
+    part = share**2 * sums.variances / variance
+    effective = 1 / (part**2).sum(axis=0)
+    surprise = (share**2 * sums.squares).sum(axis=0) / variance
+    worth, freedom = DRAW_WORTH * n_draws * effective, PRIOR_ROUNDS + effective - 1
+    seen = PRIOR_ROUNDS + effective * (part * squares).sum(axis=0)
+    pooled, birge = (seen + worth * surprise) / (freedom + worth), seen / freedom
+    inflation = np.maximum(MIN_INFLATION, np.maximum(pooled, birge / CHANCE))
+    freedom = freedom + DRAW_FREEDOM * worth
+    return _Together(center, variance, squares.mean(axis=0), inflation, freedom)
 
 
-def _freedom(rounds: Sequence[Round]) -> int:
-    return PRIOR_ROUNDS + len(rounds) - 1
-
-
-def _members(rounds: Sequence[Round], n_draws: int, least: float) -> TrafficRange | None:
+def _members(rounds: Sequence[Round], n_draws: float, least: float) -> TrafficRange | None:
     """Each member by its own shares: a round directed at it says little about the others.
 
     A round that had not seen the member's crashes is left out for it, as `not_refuted` does for

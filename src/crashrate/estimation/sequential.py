@@ -36,7 +36,7 @@ from crashrate.estimation.rounds import (
     not_refuted,
 )
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
-from crashrate.estimation.sizing import ROUND, last, size
+from crashrate.estimation.sizing import ROUND, last, learning_pays, size
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
@@ -233,7 +233,10 @@ def _estimate(
     n_last = last(problem, state, view)
     n = n_last or size(problem, state)
     n_aside = round(ASIDE_SHARE * n) if state.ordered and n_last is None else 0
-    others = aside(wanted, n_aside, _audits(problem, state, wanted, n_aside, rng), rng)
+    audits = _audits(problem, state, wanted, n_aside, rng)
+    if not learning_pays(problem, state, view, ASIDE_SHARE):
+        n_aside = len(audits)
+    others = aside(wanted, n_aside, audits, rng)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n

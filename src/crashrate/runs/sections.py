@@ -88,7 +88,7 @@ class Outcome:
     """The words of the answer: what happens, per what, and what a run tells beside it."""
 
     event: str = "crash"
-    per: str = "lane change"
+    per: str = "encounter"
     consequences: tuple[str, ...] = ()
 
 
