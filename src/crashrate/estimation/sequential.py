@@ -22,6 +22,7 @@ from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
+from crashrate.estimation.following import follow, odd
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import vouched_safe
@@ -46,6 +47,7 @@ from crashrate.variables import FloatArray
 
 # random streams beside those of the rounds
 BEGINNING, ENCOUNTERS, SURVEYS, MORE = 2_000_000, 2_000_001, 2_000_002, 3_000_000
+FOLLOWING = 4_000_000
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
@@ -73,6 +75,7 @@ def sequential(problem: Problem) -> Learner:
             state = replace(state, labels=labels, encounters=met, ordinary=state.ordinary[:0])
             continue
         state, view = yield from _round(problem, state, snapshot)
+        state = yield from _follow(problem, state, view, snapshot)
         snapshot = _snapshot(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING and not (state.ordered or state.surveyed):
             state = yield from _survey(problem, state, snapshot)
@@ -94,6 +97,25 @@ def sequential(problem: Problem) -> Learner:
     exact = exact_bounds(problem, state.labels)
     bounds = snapshot.bounds if exact is None else exact
     return replace(snapshot, bounds=bounds, belief=_belief(state))
+
+
+def _follow(
+    problem: Problem, state: State, view: View, snapshot: Snapshot
+) -> Generator[Query, FloatArray, State]:
+    """Look beside the first odd crash, if there is one."""
+    rows = odd(state.labels, state.model.standardise.scale)
+    if not len(rows):
+        return state
+    scale = Standardiser.weighted(view.pool.x, view.learning).scale
+    labels = yield from follow(
+        problem,
+        state.labels,
+        int(rows[0]),
+        scale,
+        rng=problem.rng(FOLLOWING + state.k),
+        snapshot=replace(snapshot, phase="learn"),
+    )
+    return _distrust(replace(state, labels=labels), view)
 
 
 def _survey(

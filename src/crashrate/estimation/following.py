@@ -1,0 +1,72 @@
+"""Odd crashes: where the risk order holds that none can be, looked at more closely.
+
+A crash in the midst of what many safe outcomes imply to be safe is a freak, or the first sight of
+crashes that the order denies. Taken for a freak, forty times the estimate was lost. Runs beside it
+tell: a freak is alone.
+"""
+
+import numpy as np
+
+from crashrate.crash_set.surrogate import IntArray
+from crashrate.estimation.labels import MAX_AGAINST, Labels
+from crashrate.estimation.probing import Asking, ask
+from crashrate.estimation.refutation import DEEP
+from crashrate.estimation.strategy import Problem, Snapshot
+from crashrate.variables import FloatArray
+
+N_BESIDE = 3  # runs at a time, …
+STEPS = (0.1, 0.2, 0.4, 0.8)  # … ever farther off, in standardised units, while most crash
+N_TRIED = 50  # situations beside it, of which some may lie outside the box
+# An odd crash is alone where so many runs within this distance were safe.
+ALONE, NEAR = 2, 1.0
+
+
+def odd(labels: Labels, scale: FloatArray) -> IntArray:
+    """Rows of crashes deep in what many safe outcomes imply, not known to be alone.
+
+    Parameters
+    ----------
+    labels : Labels
+    scale : ndarray, shape (m,)
+        Of the risk coordinates, for what is deep and what is near.
+    """
+    if labels.learned is None or not labels.contradictions:
+        return np.empty(0, dtype=int)
+    contradicted = np.flatnonzero(labels.known)[labels.learned.contradicted]
+    crashes = contradicted[labels.y[contradicted] == 1]
+    deep = (labels.contradiction_gaps(scale) > DEEP).sum(axis=1) > MAX_AGAINST
+    rows = crashes[deep]
+    safe = labels.u[labels.y == 0]
+    away = [np.linalg.norm((safe - u) / scale, axis=1) for u in labels.u[rows]]
+    unsettled = [(d < NEAR).sum() < ALONE for d in away]
+    return np.asarray(rows[np.array(unsettled, dtype=bool)])
+
+
+def follow(
+    problem: Problem,
+    labels: Labels,
+    row: int,
+    scale: FloatArray,
+    *,
+    rng: np.random.Generator,
+    snapshot: Snapshot,
+) -> Asking:
+    """Simulate beside the odd crash of this row, ever farther off while most of it crashes.
+
+    `scale` (d,) is that of the variables.
+    """
+    for step in STEPS:
+        x, before = _beside(problem, labels.x[row], step * scale, rng), labels.n
+        labels = yield from ask(problem, labels, x, snapshot)
+        crashed = labels.y[before:] == 1
+        if 2 * crashed.sum() <= len(crashed):
+            break
+    return labels
+
+
+def _beside(
+    problem: Problem, x: FloatArray, scale: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Situations (n, d) of the box around `x` (d,)."""
+    tried = x + scale * rng.standard_normal((N_TRIED, len(x)))
+    return np.asarray(tried[problem.traffic.contains(tried)][:N_BESIDE])
