@@ -18,6 +18,7 @@ from crashrate.estimation.strategy import Query, Snapshot
 from crashrate.runs import demo
 from crashrate.runs.record import load_run
 from crashrate.runs.scenario import Scenario
+from crashrate.runs.store import RunStore
 from crashrate.traffic.model import TrafficModel
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -90,6 +91,16 @@ def test_help_of_every_command_has_examples(command):
     shown = crashrate(command, "--help")
     assert shown.exit_code == 0
     assert f"    crashrate {command}" in shown.stdout.split("Example")[1]
+
+
+def test_a_batch_is_as_large_as_asked_for_and_stays_so(small):
+    crude = ("--method", "crude", "--max-calls", "21")
+    assert small_run(small, *crude, "--batch-size", "7").exit_code in (0, 3)
+    with RunStore.open(small / "run") as store:
+        assert {len(batch.x) for batch in store.batches(2)} == {7}
+    refused = small_run(small, *crude, "--batch-size", "8")
+    assert refused.exit_code == 1
+    assert "batch_size" in error_line(refused)
 
 
 def test_version_and_help():

@@ -6,23 +6,22 @@ What a command needs is imported inside it, so that ``crashrate --help`` answers
 import functools
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from crashrate.errors import CrashrateError, InvalidInputError
+from crashrate.errors import InvalidInputError
+from crashrate.exits import ERROR, TARGET_NOT_MET, plain_errors
 from crashrate.printing import Format, print_fit, print_result, runs, show_warning, standing
 from crashrate.runs.progress import progress
 
 if TYPE_CHECKING:
     from crashrate.estimation.estimate import Estimate
 
-ERROR, TARGET_NOT_MET, INTERRUPTED = 1, 3, 130
-INTERRUPTED_WORDS = "Interrupted. The same command goes on where a run stopped; a fit begins again."
 REPORT = "report.html"
 
 app = typer.Typer(
@@ -121,7 +120,7 @@ def _command(*examples: str) -> Callable[[Command], Command]:
     def register(function: Command) -> Command:
         @functools.wraps(function)
         def plainly(ctx: typer.Context, **arguments: Any) -> None:
-            with warnings.catch_warnings(), _plain_errors(debug=ctx.obj):
+            with warnings.catch_warnings(), plain_errors(debug=ctx.obj):
                 warnings.showwarning = show_warning
                 function(ctx, **arguments)
 
@@ -129,31 +128,6 @@ def _command(*examples: str) -> Callable[[Command], Command]:
         return function
 
     return register
-
-
-@contextmanager
-def _plain_errors(*, debug: bool) -> Iterator[None]:
-    try:
-        yield
-    except (typer.Exit, typer.BadParameter, BrokenPipeError):
-        raise
-    except KeyboardInterrupt:
-        typer.echo(INTERRUPTED_WORDS, err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    except Exception as error:
-        if debug:
-            raise
-        typer.echo(f"Error: {_message(error)}", err=True)
-        raise typer.Exit(ERROR) from None
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, CrashrateError):
-        return str(error)
-    if isinstance(error, OSError):
-        return f"{error.filename}: {error.strerror}." if error.filename else str(error)
-    kind = type(error).__name__
-    return f"unexpected {kind}: {error}. Please report it, with what crashrate --debug … shows."
 
 
 @_command(
@@ -265,6 +239,14 @@ def run(
             help="Target a consequence, or the event by its name; the scenario's where not given."
         ),
     ] = None,
+    batch_size: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Simulator runs asked for at a time: as many as run side by side. Large batches "
+            "are grown into, and cost a few runs more.",
+        ),
+    ] = 10,
     replay_calls: Annotated[
         int,
         typer.Option(
@@ -307,6 +289,7 @@ def run(
             max_calls=max_calls,
             goal=goal and goal.value,
             aim=aim,
+            batch_size=batch_size,
             same_vehicle=same_vehicle,
             events=events,
             replay_calls=replay_calls,

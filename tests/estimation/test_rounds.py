@@ -5,9 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from crashrate.estimation.rounds import (
+    DRAW_FREEDOM,
+    DRAW_WORTH,
     MIN_INFLATION,
+    PRIOR_ROUNDS,
     Round,
     combine,
     log_efficiency,
@@ -195,7 +199,8 @@ def test_one_round_is_its_own_combination():
     got = combine([round_of(0.5, 0.01)], 0.95)
     assert got.estimate == 0.5
     assert got.standard_error == pytest.approx(0.1)
-    assert got.half_width == pytest.approx(0.1 * 2.402, rel=1e-3)  # Student, 6.5 degrees
+    assert got.freedom == PRIOR_ROUNDS + DRAW_FREEDOM * DRAW_WORTH * 10
+    assert got.half_width == pytest.approx(0.1 * stdtrit(got.freedom, 0.975))
 
 
 def test_scatter_widens_the_interval():
@@ -264,3 +269,17 @@ def test_log_efficiency_of_crude_monte_carlo_is_one():
     exact = replace(crude, standard_error=0.0)
     assert log_efficiency(exact, n) == pytest.approx(2.0)
     assert math.isnan(log_efficiency(replace(crude, estimate=0.0), n))
+
+
+def test_small_contributions_at_a_rough_edge_narrow_nothing():
+    calm = [round_of(0.5 + e / 1000, 0.01, squares=0.001) for e in (-0.1, 0.1) * 8]
+    rough = [*calm[:-1], replace(calm[-1], rough=True)]
+    assert combine(rough, 0.95).inflation == 1.0
+    assert combine(calm, 0.95).inflation == MIN_INFLATION
+
+
+def test_a_round_knows_whether_the_order_was_contradicted(toy_view):
+    view, outcomes = toy_view(np.random.default_rng(0))
+    drawn = to_estimate(view, 10, np.random.default_rng(1))
+    assert not measure(view, drawn, outcomes[drawn.rows]).rough
+    assert measure(replace(view, rough=True), drawn, outcomes[drawn.rows]).rough

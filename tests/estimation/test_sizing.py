@@ -8,7 +8,6 @@ from scipy.special import stdtrit
 
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
-    PRIOR_ROUNDS,
     Round,
     combine,
     draws_to,

@@ -26,12 +26,13 @@ if TYPE_CHECKING:
 # are no surprise.
 PRIOR_ROUNDS = 4
 DRAW_WORTH = 0.5
-DRAW_FREEDOM = 0.5  # degrees of freedom of what draws are worth: a few large ones make up the sum
+DRAW_FREEDOM = 0.25  # degrees of freedom of what draws are worth: a few large ones make up the sum
 CHANCE = 1.4  # a ratio of scatter so large may be chance; what is beyond it counts alone
 MIN_ROUNDS = 3
 WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
-# Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
-MIN_INFLATION = 0.5
+# Rounds and draws that scatter less than predicted may narrow the interval so far, by variance; not
+# at a rough edge, where they have only not yet met the rare large contributions.
+MIN_INFLATION, MIN_ROUGH = 0.5, 1.0
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
@@ -85,6 +86,8 @@ class Round:
         The same under the traffic model's members; None where it has none.
     consequences : tuple of Carried
         What the same draws say of the event's consequences.
+    rough : bool
+        Whether outcomes had contradicted the order before.
     """
 
     n_runs: int
@@ -98,6 +101,7 @@ class Round:
     largest: float
     members: Sums | None = None
     consequences: tuple["Carried", ...] = ()
+    rough: bool = False
 
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
@@ -141,6 +145,7 @@ def corrected(
         n_draws=n,
         squares=float(moved @ moved) + of_pool,
         largest=float(np.abs(moved).max()),
+        rough=view.rough,
     )
     return found, moved
 
@@ -236,7 +241,8 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     )
     share = _shares(predicted, variances)
     n_draws = sum(r.n_draws for r in rounds) / len(rounds)
-    found = _together(share, Sums(estimates, predicted, variances, squares), n_draws)
+    least = MIN_ROUGH if rounds[-1].rough else MIN_INFLATION
+    found = _together(share, Sums(estimates, predicted, variances, squares), n_draws, least)
     center, error = float(found.center), math.sqrt(found.inflation * found.variance)
     half_width = float(stdtrit(found.freedom, 0.5 + confidence / 2)) * error
     lowest = float(share @ np.array([r.lowest for r in rounds]))
@@ -292,7 +298,7 @@ class _Together:
     freedom: FloatArray
 
 
-def _together(share: FloatArray, sums: Sums, n_draws: float) -> _Together:
+def _together(share: FloatArray, sums: Sums, n_draws: float, least: float) -> _Together:
     """Rounds (R, ...) of `n_draws` on average, combined by their shares (R, ...)."""
     center = (share * sums.estimates).sum(axis=0)
     squares = (sums.estimates - center) ** 2 / sums.variances
@@ -303,7 +309,7 @@ def _together(share: FloatArray, sums: Sums, n_draws: float) -> _Together:
     worth, freedom = DRAW_WORTH * n_draws * effective, PRIOR_ROUNDS + effective - 1
     seen = PRIOR_ROUNDS + effective * (part * squares).sum(axis=0)
     pooled, birge = (seen + worth * surprise) / (freedom + worth), seen / freedom
-    inflation = np.maximum(MIN_INFLATION, np.maximum(pooled, birge / CHANCE))
+    inflation = np.maximum(least, np.maximum(pooled, birge / CHANCE))
     freedom = freedom + DRAW_FREEDOM * worth
     return _Together(center, variance, squares.mean(axis=0), inflation, freedom)
 
@@ -323,8 +329,8 @@ def _members(rounds: Sequence[Round], n_draws: float, least: float) -> TrafficRa
     known = MIN_PREDICTED * np.median(sums.predicted[-LATEST:], axis=0)
     predicted = np.where(sums.predicted >= known, sums.predicted, np.nan)
     share = _shares(predicted, sums.variances)
-    got = _together(share, sums, n_draws)
-    error = np.sqrt(np.maximum(got.inflation, least) * got.variance)
+    got = _together(share, sums, n_draws, least)
+    error = np.sqrt(got.inflation * got.variance)
     return TrafficRange(tuple(got.center.tolist()), tuple(error.tolist()))
 
 
