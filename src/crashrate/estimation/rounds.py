@@ -30,9 +30,10 @@ DRAW_FREEDOM = 0.25  # degrees of freedom of what draws are worth: a few large o
 CHANCE = 1.4  # a ratio of scatter so large may be chance; what is beyond it counts alone
 MIN_ROUNDS = 3
 WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
-# Rounds and draws that scatter less than predicted may narrow the interval so far, by variance; not
-# at a rough edge, where they have only not yet met the rare large contributions.
-MIN_INFLATION, MIN_ROUGH = 0.5, 1.0
+# Rounds and draws that scatter less than predicted may narrow the interval so far, by variance. Not
+# at a rough edge: they have only not yet met the rare large contributions, and campaigns whose
+# surrogate is too sure of itself (by 1.7 to 2 in standard deviation, one in ten) end first.
+MIN_INFLATION, MIN_ROUGH = 0.5, 1.3
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
