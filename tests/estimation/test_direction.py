@@ -46,7 +46,6 @@ def found(seed, **options):
 @pytest.fixture(scope="module")
 def studies():
     with pytest.MonkeyPatch.context() as patch:  # quicker
-        patch.setattr(sequential, "N_POOL", 5000)
         patch.setattr(kernels, "KERNELS", (kernels.Kernel(0.5, 2.0, 1e3),))
         patch.setattr(kernels, "ADDITIVE", ())
         return [found(seed) for seed in range(12)]

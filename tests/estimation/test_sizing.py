@@ -11,10 +11,9 @@ from crashrate.estimation.rounds import (
     Round,
     combine,
     draws_to,
-    predicted_variance,
 )
-from crashrate.estimation.selection import estimating, to_estimate
-from crashrate.estimation.sizing import FEWEST, ROUND, last, learning_pays, size
+from crashrate.estimation.selection import to_estimate
+from crashrate.estimation.sizing import FEWEST, ROUND, last, size
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem
 
@@ -38,7 +37,7 @@ class Labels:
     """As many runs as are asked for."""
 
     def __init__(self, n):
-        self.n, self.learned = n, None
+        self.n, self.learned, self.contradictions = n, True, 0
 
 
 def state_of(n_labels, rounds=()):
@@ -83,36 +82,6 @@ def test_a_round_is_the_last_only_after_two_others_and_where_a_batch_suffices(pr
     assert last(problem(), state_of(100, near[:1]), view) is None
     assert last(problem(), state_of(100, near), view) == FEWEST
     assert last(problem(relative_half_width=1e-6), state_of(100, near), view) is None
-
-
-def falling(view, factor, n=4):
-    """Rounds of ten draws, each of `factor` times the relative variance, down to the view's."""
-    relative = predicted_variance(view, estimating(view), 10) / view.probability**2
-    return tuple(rounds_of(1, relative * 0.02**2 * factor ** (i - n))[0] for i in range(n))
-
-
-@pytest.mark.parametrize(
-    ("factor", "target", "pays"),
-    [
-        (0.6, 1e-4, True),  # every round makes the next one better
-        (1.0, 1e-4, False),  # nothing is left to learn
-        (1.2, 1e-4, False),
-        (0.6, 10.0, False),  # the target is met as it is
-    ],
-)
-def test_learning_pays_while_the_variance_falls(problem, toy_view, factor, target, pays):
-    view, _ = toy_view(np.random.default_rng(0))
-    state = state_of(100, falling(view, factor))
-    found = learning_pays(problem(relative_half_width=target), state, view, 0.4)
-    assert found == pays
-
-
-def test_learning_pays_where_nothing_tells_that_it_does_not(problem, toy_view):
-    view, _ = toy_view(np.random.default_rng(0))
-    flat = falling(view, 1.0)
-    assert learning_pays(problem(), state_of(100, flat[:1]), view, 0.4)
-    aimed = problem(consequences=("harm",), aim="harm")
-    assert learning_pays(aimed, state_of(100, flat), view, 0.4)
 
 
 def test_a_campaign_asks_for_no_more_than_it_needs(cases):

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from crashrate.estimation.consequence import MIN_CARRYING, Consequence
-from crashrate.estimation.rounds import Round, combine, corrected
+from crashrate.estimation.rounds import MIN_INFLATION, Round, combine, corrected
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.view import Moments, View
 from crashrate.variables import FloatArray
@@ -64,6 +64,7 @@ def together(
     event: tuple[float, float],
     confidence: float,
     *,
+    least: float = MIN_INFLATION,
     aimed: bool,
 ) -> Consequence:
     """One consequence over the rounds.
@@ -76,10 +77,11 @@ def together(
         Simulator runs that had it.
     event : (float, float)
         Interval for the event's probability.
-    confidence : float
+    confidence, least : float
+        As of `combine`.
     aimed : bool
     """
-    c = combine([f.round for f in found], confidence)
+    c = combine([f.round for f in found], confidence, least)
     n_eff = (c.estimate / c.standard_error) ** 2
     low, high = c.lower, c.upper
     if n_carrying < MIN_CARRYING:

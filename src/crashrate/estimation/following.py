@@ -16,30 +16,24 @@ from crashrate.variables import FloatArray
 
 N_BESIDE = 3  # runs at a time, …
 STEPS = (0.1, 0.2, 0.4, 0.8)  # … ever farther off, in standardised units, while most crash
-N_TRIED = 50  # situations beside it, of which some may lie outside the box
-# An odd crash is alone where so many runs within this distance were safe.
-ALONE, NEAR = 2, 1.0
+N_TRIED = 50  # situations beside it, of which some may lie outside the box or have no coordinates
 
 
 def odd(labels: Labels, scale: FloatArray) -> IntArray:
-    """Rows of crashes deep in what many safe outcomes imply, not known to be alone.
+    """Rows of crashes deep in what many safe outcomes imply.
 
     Parameters
     ----------
     labels : Labels
     scale : ndarray, shape (m,)
-        Of the risk coordinates, for what is deep and what is near.
+        Of the risk coordinates, for what is deep.
     """
     if labels.learned is None or not labels.contradictions:
         return np.empty(0, dtype=int)
     contradicted = np.flatnonzero(labels.known)[labels.learned.contradicted]
     crashes = contradicted[labels.y[contradicted] == 1]
     deep = (labels.contradiction_gaps(scale) > DEEP).sum(axis=1) > MAX_AGAINST
-    rows = crashes[deep]
-    safe = labels.u[labels.y == 0]
-    away = [np.linalg.norm((safe - u) / scale, axis=1) for u in labels.u[rows]]
-    unsettled = [(d < NEAR).sum() < ALONE for d in away]
-    return np.asarray(rows[np.array(unsettled, dtype=bool)])
+    return np.asarray(crashes[deep])
 
 
 def follow(
@@ -57,6 +51,7 @@ def follow(
     """
     for step in STEPS:
         x, before = _beside(problem, labels.x[row], step * scale, rng), labels.n
+        x = x[labels.has_coordinates(x)][:N_BESIDE]
         labels = yield from ask(problem, labels, x, snapshot)
         crashed = labels.y[before:] == 1
         if 2 * crashed.sum() <= len(crashed):
@@ -67,6 +62,9 @@ def follow(
 def _beside(
     problem: Problem, x: FloatArray, scale: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Situations (n, d) of the box around `x` (d,)."""
+    """Situations (n, d) of the box around `x` (d,), mirrored at its bounds."""
+    lower, upper = problem.traffic.lower, problem.traffic.upper
     tried = x + scale * rng.standard_normal((N_TRIED, len(x)))
-    return np.asarray(tried[problem.traffic.contains(tried)][:N_BESIDE])
+    tried = np.where(tried < lower, 2 * lower - tried, tried)
+    tried = np.where(tried > upper, 2 * upper - tried, tried)
+    return np.asarray(tried[problem.traffic.contains(tried)])

@@ -27,13 +27,10 @@ if TYPE_CHECKING:
 PRIOR_ROUNDS = 4
 DRAW_WORTH = 0.5
 DRAW_FREEDOM = 0.25  # degrees of freedom of what draws are worth: a few large ones make up the sum
-CHANCE = 1.4  # a ratio of scatter so large may be chance; what is beyond it counts alone
 MIN_ROUNDS = 3
 WELL_WITHIN = 0.95  # of the target: what a last round that is cut to size aims at
-# Rounds and draws that scatter less than predicted may narrow the interval so far, by variance. Not
-# at a rough edge: they have only not yet met the rare large contributions, and campaigns whose
-# surrogate is too sure of itself (by 1.7 to 2 in standard deviation, one in ten) end first.
-MIN_INFLATION, MIN_ROUGH = 0.5, 1.3
+# Rounds and draws that scatter less than predicted may narrow the interval so far, by variance.
+MIN_INFLATION = 0.5
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
@@ -87,8 +84,6 @@ class Round:
         The same under the traffic model's members; None where it has none.
     consequences : tuple of Carried
         What the same draws say of the event's consequences.
-    rough : bool
-        Whether outcomes had contradicted the order before.
     """
 
     n_runs: int
@@ -102,7 +97,6 @@ class Round:
     largest: float
     members: Sums | None = None
     consequences: tuple["Carried", ...] = ()
-    rough: bool = False
 
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
@@ -146,7 +140,6 @@ def corrected(
         n_draws=n,
         squares=float(moved @ moved) + of_pool,
         largest=float(np.abs(moved).max()),
-        rough=view.rough,
     )
     return found, moved
 
@@ -219,7 +212,7 @@ class Combined:
     members: TrafficRange | None = None
 
 
-def combine(rounds: Sequence[Round], confidence: float) -> Combined:
+def combine(rounds: Sequence[Round], confidence: float, least: float = MIN_INFLATION) -> Combined:
     """Rounds weighted by the inverse square of their predicted coefficient of variation.
 
     (Not of the variance: a pool that happens to hold too little crash mass predicts a smaller
@@ -233,7 +226,14 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
     Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
     standard deviation), and too careful at a smooth edge. Rounds count by their part in the
     variance of the whole: what an early surrogate got wrong says little of a late one. Scatter
-    beyond chance counts alone: a pool that misses crashes is seen by no draw of its own.
+    that is larger counts alone: a pool that misses crashes is seen by no draw of its own.
+
+    Parameters
+    ----------
+    rounds : sequence of Round
+    confidence : float
+    least : float
+        Of the inflation.
     """
     rounds = not_refuted(rounds, float(np.median([r.predicted for r in rounds[-LATEST:]])))
     estimates, predicted, variances, squares = (
@@ -241,8 +241,7 @@ def combine(rounds: Sequence[Round], confidence: float) -> Combined:
         for name in ("estimate", "predicted", "variance", "squares")
     )
     share = _shares(predicted, variances)
-    n_draws = sum(r.n_draws for r in rounds) / len(rounds)
-    least = MIN_ROUGH if rounds[-1].rough else MIN_INFLATION
+    n_draws = np.array([r.n_draws for r in rounds], dtype=float)
     found = _together(share, Sums(estimates, predicted, variances, squares), n_draws, least)
     center, error = float(found.center), math.sqrt(found.inflation * found.variance)
     half_width = float(stdtrit(found.freedom, 0.5 + confidence / 2)) * error
@@ -299,23 +298,24 @@ class _Together:
     freedom: FloatArray
 
 
-def _together(share: FloatArray, sums: Sums, n_draws: float, least: float) -> _Together:
-    """Rounds (R, ...) of `n_draws` on average, combined by their shares (R, ...)."""
+def _together(share: FloatArray, sums: Sums, n_draws: FloatArray, least: float) -> _Together:
+    """Rounds of `n_draws` (R,) combined by their shares (R, ...)."""
     center = (share * sums.estimates).sum(axis=0)
     squares = (sums.estimates - center) ** 2 / sums.variances
     variance = (share**2 * sums.variances).sum(axis=0)
     part = share**2 * sums.variances / variance
-    effective = 1 / (part**2).sum(axis=0)
+    freedom = PRIOR_ROUNDS + 1 / (part**2).sum(axis=0) - 1
+    scatter = (PRIOR_ROUNDS + (part * squares).sum(axis=0) / (part**2).sum(axis=0)) / freedom
+    worth = DRAW_WORTH / (part.T**2 / n_draws).sum(axis=-1)
     surprise = (share**2 * sums.squares).sum(axis=0) / variance
-    worth, freedom = DRAW_WORTH * n_draws * effective, PRIOR_ROUNDS + effective - 1
-    seen = PRIOR_ROUNDS + effective * (part * squares).sum(axis=0)
-    pooled, birge = (seen + worth * surprise) / (freedom + worth), seen / freedom
-    inflation = np.maximum(least, np.maximum(pooled, birge / CHANCE))
-    freedom = freedom + DRAW_FREEDOM * worth
-    return _Together(center, variance, squares.mean(axis=0), inflation, freedom)
+    pooled = (freedom * scatter + worth * surprise) / (freedom + worth)
+    inflation = np.maximum(least, np.maximum(pooled, scatter))
+    # draws say nothing of scatter that none of them sees
+    known = np.where(scatter > pooled, freedom, freedom + DRAW_FREEDOM * worth)
+    return _Together(center, variance, squares.mean(axis=0), inflation, known)
 
 
-def _members(rounds: Sequence[Round], n_draws: float, least: float) -> TrafficRange | None:
+def _members(rounds: Sequence[Round], n_draws: FloatArray, least: float) -> TrafficRange | None:
     """Each member by its own shares: a round directed at it says little about the others.
 
     A round that had not seen the member's crashes is left out for it, as `not_refuted` does for

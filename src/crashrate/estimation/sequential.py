@@ -37,7 +37,7 @@ from crashrate.estimation.rounds import (
     not_refuted,
 )
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
-from crashrate.estimation.sizing import ROUND, last, learning_pays, size
+from crashrate.estimation.sizing import ROUND, last, size
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
@@ -103,19 +103,21 @@ def _follow(
     problem: Problem, state: State, view: View, snapshot: Snapshot
 ) -> Generator[Query, FloatArray, State]:
     """Look beside the first odd crash, if there is one."""
-    rows = odd(state.labels, state.model.standardise.scale)
+    rows = np.setdiff1d(odd(state.labels, state.model.standardise.scale), state.followed)
     if not len(rows):
         return state
     scale = Standardiser.weighted(view.pool.x, view.learning).scale
+    before, row = state.labels, int(rows[0])
     labels = yield from follow(
         problem,
-        state.labels,
-        int(rows[0]),
+        before,
+        row,
         scale,
         rng=problem.rng(FOLLOWING + state.k),
         snapshot=replace(snapshot, phase="learn"),
     )
-    return _distrust(replace(state, labels=labels), view)
+    followed = (*state.followed, row, *range(before.n, labels.n))
+    return _distrust(replace(state, labels=labels, followed=followed), view)
 
 
 def _survey(
@@ -136,7 +138,7 @@ def _outvoted(problem: Problem, state: State) -> bool:
     """Whether the encounters alone keep the rounds' estimate from its target."""
     if state.encounters is None or len(state.rounds) < MIN_ROUNDS:
         return False
-    c = combine(state.rounds, problem.confidence)
+    c = combine(state.rounds, problem.confidence, state.least_inflation)
     narrow = _narrow(problem, state, *_target(problem, state, c, (c.lower, c.upper)))
     return narrow and state.encounters.speak_against(c.upper)
 
@@ -255,10 +257,7 @@ def _estimate(
     n_last = last(problem, state, view)
     n = n_last or size(problem, state)
     n_aside = round(ASIDE_SHARE * n) if state.ordered and n_last is None else 0
-    audits = _audits(problem, state, wanted, n_aside, rng)
-    if not learning_pays(problem, state, view, ASIDE_SHARE):
-        n_aside = len(audits)
-    others = aside(wanted, n_aside, audits, rng)
+    others = aside(wanted, n_aside, _audits(problem, state, wanted, n_aside, rng), rng)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n
@@ -313,7 +312,8 @@ def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
         e = state.encounters or Encounters()
         seen = interval(e.n_crashes, e.n, problem.confidence)
         return replace(start, interval=seen, alarms=_alarms(problem, state, None, bounds))
-    state, c = replace(state, rounds=rounds), combine(rounds, problem.confidence)
+    state = replace(state, rounds=rounds)
+    c = combine(rounds, problem.confidence, state.least_inflation)
     n_runs = sum(r.n_runs for r in rounds)
     around = _interval(problem, state, c)
     return replace(
@@ -343,6 +343,7 @@ def _consequences(
             int(np.count_nonzero(state.labels.z[:, k] > 0)),
             event,
             problem.confidence,
+            least=state.least_inflation,
             aimed=name == problem.aim,
         )
         for k, name in enumerate(problem.consequences)

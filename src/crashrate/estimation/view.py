@@ -102,8 +102,6 @@ class View:
         Implied by outcomes that nothing contradicts, whatever the surrogate says: for the bounds.
     failing : ndarray of bool, shape (n,)
         Undecided, and the nearest runs all failed: more would tell nothing.
-    rough : bool
-        Whether outcomes contradict the order.
     consequences : tuple of Moments
         Of the event.
     aim : int or None
@@ -118,7 +116,6 @@ class View:
     implied_inner: BoolArray
     implied_safe: BoolArray
     failing: BoolArray
-    rough: bool = False
     consequences: tuple[Moments, ...] = ()
     aim: int | None = None
 
@@ -202,8 +199,7 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     runs = standardise(labels.u)
     known = np.concatenate([runs[labels.known], surrogate.u])  # ordinary traffic taken as safe too
     failing = fails(known, runs[~labels.known], standardise(pool.u)) & ~(inner | outside)
-    rough = labels.contradictions > 0
-    return View(pool, h, raw, inner, outside, crash, safe, failing, rough)
+    return View(pool, h, raw, inner, outside, crash, safe, failing)
 
 
 def held(
