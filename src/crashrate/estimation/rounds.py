@@ -226,7 +226,7 @@ def combine(rounds: Sequence[Round], confidence: float, least: float = MIN_INFLA
     Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
     standard deviation), and too careful at a smooth edge. Rounds count by their part in the
     variance of the whole: what an early surrogate got wrong says little of a late one. Scatter
-    that is larger counts alone: a pool that misses crashes is seen by no draw of its own.
+    above the predicted counts in full: a pool that misses crashes is seen by no draw of its own.
 
     Parameters
     ----------
@@ -309,9 +309,10 @@ def _together(share: FloatArray, sums: Sums, n_draws: FloatArray, least: float) 
     worth = DRAW_WORTH / (part.T**2 / n_draws).sum(axis=-1)
     surprise = (share**2 * sums.squares).sum(axis=0) / variance
     pooled = (freedom * scatter + worth * surprise) / (freedom + worth)
-    inflation = np.maximum(least, np.maximum(pooled, scatter))
-    # draws say nothing of scatter that none of them sees
-    known = np.where(scatter > pooled, freedom, freedom + DRAW_FREEDOM * worth)
+    # draws say nothing of scatter that none of them sees; few rounds hardly show that it is small
+    unseen = scatter > np.maximum(pooled, 1.0)
+    inflation = np.maximum(least, np.where(unseen, scatter, pooled))
+    known = np.where(unseen, freedom, freedom + DRAW_FREEDOM * worth)
     return _Together(center, variance, squares.mean(axis=0), inflation, known)
 
 
