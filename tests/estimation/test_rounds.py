@@ -274,7 +274,9 @@ def test_log_efficiency_of_crude_monte_carlo_is_one():
 def test_the_least_inflation_holds():
     calm = [round_of(0.5 + e / 1000, 0.01, squares=0.001) for e in (-0.1, 0.1) * 8]
     assert combine(calm, 0.95).inflation == MIN_INFLATION
-    assert combine(calm, 0.95, 1.3).inflation == 1.3
+    doubted = combine(calm, 0.95, 1.3)
+    assert doubted.inflation == 1.3
+    assert doubted.freedom == PRIOR_ROUNDS + len(calm) - 1
 
 
 def noisy_intervals(noise, times=1500):
