@@ -54,10 +54,23 @@ def problem(cases):
 
 @pytest.mark.parametrize(
     ("batch_size", "n", "expected"),
-    [(10, 40, 10), (1000, 15, ROUND), (1000, 60, 30), (50, 400, 50), (3, 400, 3)],
+    [(10, 40, 10), (1000, 15, ROUND), (1000, 60, 30), (50, 400, 50), (3, 400, ROUND)],
 )
 def test_large_batches_are_grown_into(problem, batch_size, n, expected):
     assert size(problem(batch_size=batch_size), state_of(n)) == expected
+
+
+def test_small_batches_are_put_together_to_rounds(cases):
+    """The same campaign as in tens, asked for three at a time."""
+    case = cases.half_plane(1e-6)
+    found = [case.estimate(batch_size=n, relative_half_width=0.3) for n in (3, 10)]
+    assert found[0].n_calls == found[1].n_calls
+    assert found[0].interval == found[1].interval
+    campaign = case.campaign(batch_size=3)
+    while not campaign.done:
+        x = campaign.ask()
+        assert len(x) <= 3
+        campaign.tell(case.crash(x))
 
 
 def test_as_many_draws_as_the_target_asks_for():

@@ -25,7 +25,7 @@ from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.following import follow, odd
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.probing import vouched_safe
+from crashrate.estimation.probing import ask, vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import (
     MIN_ROUNDS,
@@ -201,7 +201,7 @@ def _round(
         audits = _audits(problem, state, wanted, n // 2, rng)
         rows = to_learn(wanted, n, audits, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
-        labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
+        labels = yield from ask(problem, state.labels, view.pool.x[rows], snapshot)
         rounds = state.rounds
     else:
         labels, rounds = yield from _estimate(problem, state, view, snapshot, rng)
@@ -262,23 +262,15 @@ def _estimate(
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n
     if len(rows) > room:  # a cut batch is no unbiased round: its runs are spent on learning
-        labels = yield from _simulate(problem, state.labels, view.pool.x[rows[:room]], snapshot)
+        labels = yield from ask(problem, state.labels, view.pool.x[rows[:room]], snapshot)
         return labels, state.rounds
     snapshot = replace(snapshot, phase="estimate")
-    labels = yield from _simulate(problem, state.labels, view.pool.x[rows], snapshot)
+    labels = yield from ask(problem, state.labels, view.pool.x[rows], snapshot)
     told = labels.n - len(rows) + np.searchsorted(rows, drawn.rows)
     found = measure(view, drawn, labels.y[told])
     if problem.consequences:
         found = replace(found, consequences=carry(view, drawn, labels.y[told], labels.z[told]))
     return labels, (*state.rounds, found)
-
-
-def _simulate(
-    problem: Problem, labels: Labels, x: FloatArray, snapshot: Snapshot
-) -> Generator[Query, FloatArray, Labels]:
-    x = x[: problem.max_calls - labels.n]
-    y = yield Query(x, replace(snapshot, learned=labels.learned))
-    return labels.add(x, y)
 
 
 def _fit(state: State) -> tuple[Surrogate, Model]:

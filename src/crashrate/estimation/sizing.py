@@ -13,12 +13,13 @@ FEWEST = ROUND  # draws of the last round: to look more often is to stop at the 
 
 
 def size(problem: Problem, state: State) -> int:
-    """Runs of the next round: a batch; large ones are grown into.
+    """Runs of the next round: a batch; large ones are grown into, small ones are put together.
 
-    A thousand runs chosen by what forty taught would be spent at once. The budget has no say: what
-    is asked for first must not depend on how much may come after.
+    A thousand runs chosen by what forty taught would be spent at once; rounds of one run put none
+    aside for learning. The budget has no say: what is asked for first must not depend on how much
+    may come after.
     """
-    return min(problem.batch_size, max(ROUND, state.labels.n // 2))
+    return max(ROUND, min(problem.batch_size, state.labels.n // 2))
 
 
 def last(problem: Problem, state: State, view: View) -> int | None:
