@@ -244,7 +244,7 @@ def run(
         typer.Option(
             min=1,
             help="Simulator runs asked for at a time: as many as run side by side. Large batches "
-            "are grown into, and cost a few runs more.",
+            "are grown into, and cost more runs.",
         ),
     ] = 10,
     replay_calls: Annotated[

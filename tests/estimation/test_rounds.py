@@ -293,9 +293,9 @@ def noisy_intervals(noise, times=1500):
 @pytest.mark.parametrize(("noise", "least"), [(0.0, 0.96), (1.0, 0.92)])
 def test_scatter_that_no_draw_sees_widens_the_interval(noise, least):
     """A pool that misses crashes: the draws of its own round know nothing of it."""
-    covered = np.mean([c.lower <= 0.1 <= c.upper for c in noisy_intervals(noise)])
-    assert covered > least
-    blind = [1.96 * c.standard_error / math.sqrt(c.inflation) for c in noisy_intervals(noise)]
+    found = noisy_intervals(noise)
+    assert np.mean([c.lower <= 0.1 <= c.upper for c in found]) > least
     if noise:  # the check can fail
-        estimates = [c.estimate for c in noisy_intervals(noise)]
-        assert np.mean([abs(e - 0.1) < b for e, b in zip(estimates, blind, strict=True)]) < 0.85
+        blind = [1.96 * c.standard_error / math.sqrt(c.inflation) for c in found]
+        errors = [abs(c.estimate - 0.1) for c in found]
+        assert np.mean([e < b for e, b in zip(errors, blind, strict=True)]) < 0.85

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from crashrate.estimation.rounds import (
-    MIN_ROUNDS,
-    Round,
-    combine,
-    draws_to,
-)
+from crashrate.estimation.rounds import MIN_ROUNDS, Round, combine, draws_to
 from crashrate.estimation.selection import to_estimate
 from crashrate.estimation.sizing import FEWEST, ROUND, last, size
 from crashrate.estimation.state import State

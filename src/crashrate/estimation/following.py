@@ -5,18 +5,37 @@ crashes that the order denies. Taken for a freak, forty times the estimate was l
 tell: a freak is alone.
 """
 
+from collections.abc import Generator
+from dataclasses import replace
+
 import numpy as np
 
 from crashrate.crash_set.surrogate import IntArray
 from crashrate.estimation.labels import MAX_AGAINST, Labels
 from crashrate.estimation.probing import Asking, ask
 from crashrate.estimation.refutation import DEEP
-from crashrate.estimation.strategy import Problem, Snapshot
+from crashrate.estimation.state import State
+from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.estimation.view import Standardiser, View
 from crashrate.variables import FloatArray
 
 N_BESIDE = 3  # runs at a time, …
 STEPS = (0.1, 0.2, 0.4, 0.8)  # … ever farther off, in standardised units, while most crash
 N_TRIED = 50  # situations beside it, of which some may lie outside the box or have no coordinates
+
+
+def look_closer(
+    problem: Problem, state: State, view: View, snapshot: Snapshot, rng: np.random.Generator
+) -> Generator[Query, FloatArray, State]:
+    """Look beside the first odd crash not followed yet; the same state if there is none."""
+    rows = np.setdiff1d(odd(state.labels, state.model.standardise.scale), state.followed)
+    if not len(rows):
+        return state
+    scale = Standardiser.weighted(view.pool.x, view.learning).scale
+    before, row, told = state.labels, int(rows[0]), replace(snapshot, phase="learn")
+    labels = yield from follow(problem, before, row, scale, rng=rng, snapshot=told)
+    followed = (*state.followed, row, *range(before.n, labels.n))
+    return replace(state, labels=labels, followed=followed)
 
 
 def odd(labels: Labels, scale: FloatArray) -> IntArray:

@@ -22,7 +22,7 @@ from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
 from crashrate.estimation.encounters import Encounters, interval, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
-from crashrate.estimation.following import follow, odd
+from crashrate.estimation.following import look_closer
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import ask, vouched_safe
@@ -75,7 +75,9 @@ def sequential(problem: Problem) -> Learner:
             state = replace(state, labels=labels, encounters=met, ordinary=state.ordinary[:0])
             continue
         state, view = yield from _round(problem, state, snapshot)
-        state = yield from _follow(problem, state, view, snapshot)
+        rng = problem.rng(FOLLOWING + state.k)
+        closer = yield from look_closer(problem, state, view, snapshot, rng)
+        state = state if closer is state else _distrust(closer, view)
         snapshot = _snapshot(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING and not (state.ordered or state.surveyed):
             state = yield from _survey(problem, state, snapshot)
@@ -97,27 +99,6 @@ def sequential(problem: Problem) -> Learner:
     exact = exact_bounds(problem, state.labels)
     bounds = snapshot.bounds if exact is None else exact
     return replace(snapshot, bounds=bounds, belief=_belief(state))
-
-
-def _follow(
-    problem: Problem, state: State, view: View, snapshot: Snapshot
-) -> Generator[Query, FloatArray, State]:
-    """Look beside the first odd crash, if there is one."""
-    rows = np.setdiff1d(odd(state.labels, state.model.standardise.scale), state.followed)
-    if not len(rows):
-        return state
-    scale = Standardiser.weighted(view.pool.x, view.learning).scale
-    before, row = state.labels, int(rows[0])
-    labels = yield from follow(
-        problem,
-        before,
-        row,
-        scale,
-        rng=problem.rng(FOLLOWING + state.k),
-        snapshot=replace(snapshot, phase="learn"),
-    )
-    followed = (*state.followed, row, *range(before.n, labels.n))
-    return _distrust(replace(state, labels=labels, followed=followed), view)
 
 
 def _survey(
