@@ -1,8 +1,8 @@
 """Exploration: the first crash, and the crash set's edge near the likeliest crashes.
 
 With a risk order: inflate the traffic model until its most dangerous draw crashes, bisect down the
-chain of draws sorted by danger, then search along lines from the likeliest crash to ordinary
-traffic. Without one: a space-filling search over everything that traffic can reach.
+chain of draws sorted by danger, then search along two lines from the likeliest crash to
+ordinary traffic. Without one: a space-filling search over everything that traffic can reach.
 """
 
 from collections.abc import Generator
@@ -34,6 +34,7 @@ INFLATION = 4.0
 INFLATION_STEP = 1.5
 MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
+N_LINES = 2  # five taught less about the edge than the rounds that their runs pay for
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
 # without an order: shares of traffic's probability that are left out, and runs
@@ -203,7 +204,7 @@ def _fill_space(
 
 def _search_lines(problem: Problem, labels: Labels, ordinary: FloatArray) -> Asking:
     """Bisect from the likeliest crash towards draws of the traffic model."""
-    for safe_end in ordinary[: 2 + problem.traffic.n_variables]:
+    for safe_end in ordinary[:N_LINES]:
         density = problem.traffic.log_density(labels.crashes)
         crash_end = labels.crashes[int(np.argmax(density))]
         labels = yield from _search_line(problem, labels, safe_end, crash_end)

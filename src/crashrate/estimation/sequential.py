@@ -37,8 +37,8 @@ from crashrate.estimation.rounds import (
     not_refuted,
 )
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
-from crashrate.estimation.sizing import ROUND, last, size
-from crashrate.estimation.state import State
+from crashrate.estimation.sizing import ROUND, last, size, size_to_learn
+from crashrate.estimation.state import AUDIT_EVERY, FAR_AUDIT_EVERY, State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
 from crashrate.estimation.view import Standardiser, View, see
@@ -51,7 +51,6 @@ FOLLOWING = 4_000_000
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
-AUDIT_SHARE = 0.25  # of the runs that no estimate is made of
 SCATTER_LIMIT = 3.0
 Learner = Generator[Query, FloatArray, Snapshot]
 
@@ -178,8 +177,8 @@ def _round(
     unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
     learning = bool(unsure) and state.may_learn
     if learning:
-        n = size(problem, state)
-        audits = _audits(problem, state, wanted, n // 2, rng)
+        n = size_to_learn(problem, state)
+        audits = _audits(problem, state, wanted, n, rng)
         rows = to_learn(wanted, n, audits, rng, ordered=state.ordered)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from ask(problem, state.labels, view.pool.x[rows], snapshot)
@@ -200,12 +199,12 @@ def _round(
 
 
 def _audits(
-    problem: Problem, state: State, view: View, n_aside: int, rng: np.random.Generator
+    problem: Problem, state: State, view: View, n: int, rng: np.random.Generator
 ) -> IntArray:
-    """Runs where the order knows the outcome: among crashes, and in every second round far off."""
-    n = 0 if state.audited or not state.ordered else round(AUDIT_SHARE * n_aside)
-    far = vouched_safe(problem, state.labels, view.pool, 0 if state.k % 2 else n)
-    return np.concatenate([audit(view, n, rng), far])
+    """Those of a round's `n` runs where the order knows the outcome: among crashes, and far off."""
+    among = audit(view, state.audits_due(n, AUDIT_EVERY), rng)
+    far = state.audits_due(n, FAR_AUDIT_EVERY)
+    return np.concatenate([among, vouched_safe(problem, state.labels, view.pool, far)])
 
 
 def _see(
@@ -238,7 +237,7 @@ def _estimate(
     n_last = last(problem, state, view)
     n = n_last or size(problem, state)
     n_aside = round(ASIDE_SHARE * n) if state.ordered and n_last is None else 0
-    others = aside(wanted, n_aside, _audits(problem, state, wanted, n_aside, rng), rng)
+    others = aside(wanted, n_aside, _audits(problem, state, wanted, n, rng), rng)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n

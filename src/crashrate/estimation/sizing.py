@@ -22,6 +22,14 @@ def size(problem: Problem, state: State) -> int:
     return max(ROUND, min(problem.batch_size, state.labels.n // 2))
 
 
+def size_to_learn(problem: Problem, state: State) -> int:
+    """Runs of a round that learns: half of one that estimates.
+
+    The second half is better chosen by what the first one taught.
+    """
+    return size(problem, state) // 2
+
+
 def last(problem: Problem, state: State, view: View) -> int | None:
     """Draws of the next round if it is likely to be the last; None if it is not.
 

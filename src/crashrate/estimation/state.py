@@ -15,7 +15,9 @@ from crashrate.variables import FloatArray
 LEARNING_RUNS = 300
 LATE_RUNS = 200  # where the first crash came late: nothing was known of its region before
 RELEARNING_RUNS = 100  # after an order was dropped
-AUDITED_ROUNDS = 12
+# One run in so many audits what the order implies to crash, and what only the order holds to be
+# safe: of the first runs after exploration. (By runs, for rounds to learn are shorter.)
+AUDIT_EVERY, FAR_AUDIT_EVERY, AUDITED_RUNS = 10, 20, 120
 # What was seen may narrow an interval; not without an order, which nothing could contradict, and
 # least of all at a rough edge: its draws have only not yet met the rare large contributions, and
 # campaigns whose surrogate is too sure of itself (by 1.7 to 2 in standard deviation, one in ten)
@@ -90,10 +92,14 @@ class State:
         """Whether a risk order is in use."""
         return self.labels.learned is not None
 
-    @property
-    def audited(self) -> bool:
-        """Whether enough runs were put aside for audits; some of all draws are audits as well."""
-        return self.k > AUDITED_ROUNDS
+    def audits_due(self, n: int, every: int) -> int:
+        """Of the next `n` runs: one in `every`, until enough were put aside.
+
+        Some of all draws that estimate are audits as well.
+        """
+        first = min(self.labels.n - self.begun_at, AUDITED_RUNS)
+        last = min(first + n, AUDITED_RUNS)
+        return last // every - first // every if self.ordered else 0
 
     @property
     def may_learn(self) -> bool:

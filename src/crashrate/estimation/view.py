@@ -32,7 +32,7 @@ OBJECTION = 0.5  # an implied label counts unless the surrogate holds the opposi
 # and at least RIPPLE (standardised coordinates). A smooth edge has next to no mass so near.
 RIPPLE, EDGE_DOUBT = 0.05, 0.01
 # exponents of the traffic density and of h (1-h) where outcomes teach most about the crash set
-LEARN_DENSITY, LEARN_VARIANCE = 0.2, 3.0
+LEARN_DENSITY, LEARN_VARIANCE = 0.5, 3.0
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class View:
 
     @cached_property
     def learning(self) -> FloatArray:
-        """Distribution over draws, ∝ f^0.2 (h (1-h))³ / q: where outcomes teach most."""
+        """Distribution over draws, ∝ √f (h (1-h))³ / q: where outcomes teach most."""
         doubt = np.where(self.failing, 0.0, np.maximum(self.h * (1 - self.h), 1e-300))
         with np.errstate(divide="ignore"):
             doubt = LEARN_VARIANCE * np.log(doubt)
