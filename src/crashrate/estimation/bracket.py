@@ -92,7 +92,8 @@ def bracket(problem: Problem) -> Bracketing:
 
 def _explore(problem: Problem) -> Generator[Query, FloatArray, Explored | None]:
     """Explore as for an estimate; None as soon as the order is dropped."""
-    steps, outcomes = explore(problem), None
+    # the edge is all that bounds need: more lines than an estimate pays for
+    steps, outcomes = explore(problem, 2 + problem.traffic.n_variables), None
     try:
         while True:
             query = next(steps) if outcomes is None else steps.send(outcomes)

@@ -98,8 +98,8 @@ def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:
     )
 
 
-def explore(problem: Problem) -> Exploration:
-    """Find a crash, and where the crash set begins; see the module."""
+def explore(problem: Problem, n_lines: int = N_LINES) -> Exploration:
+    """Find a crash, and along `n_lines` lines where the crash set begins; see the module."""
     rng, labels, n_filling = problem.rng(0), Labels.empty(problem), 0
     ordinary = problem.traffic.sample(N_ORDINARY, rng)
     if problem.order is not None:
@@ -114,7 +114,7 @@ def explore(problem: Problem) -> Exploration:
         labels = yield from _fill_space(problem, labels, wide, rng)
         n_filling = labels.n - before
     if (labels.y == 1).any():
-        labels = yield from _search_lines(problem, labels, ordinary)
+        labels = yield from _search_lines(problem, labels, ordinary[:n_lines])
     labels, u = yield from _check_ordinary(problem, labels, ordinary)
     return Explored(labels, wide, u, n_filling)
 
@@ -204,7 +204,7 @@ def _fill_space(
 
 def _search_lines(problem: Problem, labels: Labels, ordinary: FloatArray) -> Asking:
     """Bisect from the likeliest crash towards draws of the traffic model."""
-    for safe_end in ordinary[:N_LINES]:
+    for safe_end in ordinary:
         density = problem.traffic.log_density(labels.crashes)
         crash_end = labels.crashes[int(np.argmax(density))]
         labels = yield from _search_line(problem, labels, safe_end, crash_end)
