@@ -38,7 +38,7 @@ from crashrate.estimation.rounds import (
 )
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
 from crashrate.estimation.sizing import ROUND, last, size, size_to_learn
-from crashrate.estimation.state import AUDIT_EVERY, FAR_AUDIT_EVERY, State
+from crashrate.estimation.state import AUDIT_EVERY, State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
 from crashrate.estimation.view import Standardiser, View, see
@@ -202,8 +202,8 @@ def _audits(
     problem: Problem, state: State, view: View, n: int, rng: np.random.Generator
 ) -> IntArray:
     """Those of a round's `n` runs where the order knows the outcome: among crashes, and far off."""
-    among = audit(view, state.audits_due(n, AUDIT_EVERY), rng)
-    far = state.audits_due(n, FAR_AUDIT_EVERY)
+    among = audit(view, state.audits_due(n), rng)
+    far = state.audits_due(n, shift=AUDIT_EVERY // 2)  # by turns where rounds are short
     return np.concatenate([among, vouched_safe(problem, state.labels, view.pool, far)])
 
 
