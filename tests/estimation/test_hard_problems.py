@@ -29,15 +29,18 @@ def test_traffic_much_wider_than_its_box(cases, d, spread):
     assert got.n_crashes > 0
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_corner_of_the_box_that_no_draw_reaches(cases, seed):
+def test_a_corner_of_the_box_that_no_draw_reaches(cases):
+    """Two of six misses have a chance of 3 % at 95 % coverage; half of p would miss six times."""
     traffic, corner = in_a_box(2, 1.0)
     level = corner(1e-6)
     crash = lambda x: (x > level).all(axis=1)  # noqa: E731
-    got = estimate(crash, traffic, risk=cases.increasing(2), seed=seed, max_calls=200)
-    assert got.stop_reason is StopReason.TARGET_MET
-    assert got.interval[0] <= 1e-6 <= got.interval[1]
-    assert Alarm.ORDER_DROPPED not in got.alarms
+    got = [
+        estimate(crash, traffic, risk=cases.increasing(2), seed=seed, max_calls=200)
+        for seed in range(6)
+    ]
+    assert all(g.stop_reason is StopReason.TARGET_MET for g in got)
+    assert sum(g.interval[0] <= 1e-6 <= g.interval[1] for g in got) >= 5
+    assert not any(Alarm.ORDER_DROPPED in g.alarms for g in got)
 
 
 @pytest.mark.parametrize("p", [1e-8, 1e-9])
