@@ -57,9 +57,10 @@ def test_bounds_that_must_be_drawn_hold_too(cases, seed):
 
 def test_they_come_closer_than_those_of_an_estimate(cases):
     case = cases.half_plane(1e-5)
-    own = bounds(case, max_calls=100)
-    other = case.estimate(relative_half_width=1e-3, max_calls=100)
-    assert own.bounds_factor < 0.8 * other.bounds_factor
+    own = [bounds(case, seed=seed, max_calls=100) for seed in range(4)]
+    other = [case.estimate(seed, relative_half_width=1e-3, max_calls=100) for seed in range(4)]
+    ratio = [a.bounds_factor / b.bounds_factor for a, b in zip(own, other, strict=True)]
+    assert np.mean(ratio) < 0.8
 
 
 def test_no_estimate_and_no_interval_are_claimed(cases):
