@@ -15,7 +15,7 @@ from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import FAR, Standardiser
 
 NONE = np.empty((0, 2))
-AS_IS = Standardiser(np.zeros(2), np.ones(2))
+AS_IS = Standardiser(np.zeros(2), np.ones(2), np.ones(2))
 ANY = fit_surrogate(
     np.zeros((1, 2)), np.ones(1, bool), Prior(0.5, 1.0, 1.0, linear=1.0, slope=1.0, constant=0.0)
 )

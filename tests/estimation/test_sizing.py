@@ -1,6 +1,7 @@
 """How many runs a round has: batches are grown into, and the last round is cut to size."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,16 @@ from scipy.special import stdtrit
 
 from crashrate.estimation.rounds import MIN_ROUNDS, Round, combine, draws_to
 from crashrate.estimation.selection import to_estimate
-from crashrate.estimation.sizing import FEWEST, ROUND, last, size
+from crashrate.estimation.sizing import (
+    AUDIT_EVERY,
+    AUDITED_ROUNDS,
+    FEWEST,
+    ROUND,
+    audits_due,
+    last,
+    size,
+    size_to_learn,
+)
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem
 
@@ -53,6 +63,44 @@ def problem(cases):
 )
 def test_large_batches_are_grown_into(problem, batch_size, n, expected):
     assert size(problem(batch_size=batch_size), state_of(n)) == expected
+
+
+@pytest.mark.parametrize(("batch_size", "expected"), [(1, 5), (10, 5), (50, 25)])
+def test_a_round_that_learns_has_half_the_runs(problem, batch_size, expected):
+    assert size_to_learn(problem(batch_size=batch_size), state_of(400)) == expected
+
+
+def audits_of(problem, sizes, *, begun_at=23, shift=0):
+    """Audits due in rounds of these sizes, one after another."""
+    starts = begun_at + np.cumsum([0, *sizes[:-1]])
+    states = [replace(state_of(int(n)), begun_at=begun_at) for n in starts]
+    return [audits_due(problem, s, n, shift) for s, n in zip(states, sizes, strict=True)]
+
+
+def test_audits_of_two_kinds_come_by_turns(problem):
+    among, far = (audits_of(problem(), [5] * 40, shift=shift) for shift in (0, AUDIT_EVERY // 2))
+    assert among[:24] == [0, 1] * 12
+    assert far[:24] == [1, 0] * 12
+    assert sum(among[24:] + far[24:]) == 0
+
+
+@pytest.mark.parametrize("round_size", [5, 7, 10, 30])
+def test_as_many_runs_audit_whatever_the_rounds(problem, round_size):
+    sizes = [round_size] * (300 // round_size)
+    assert sum(audits_of(problem(), sizes)) == AUDITED_ROUNDS
+    assert sum(audits_of(problem(), sizes, shift=AUDIT_EVERY // 2)) == AUDITED_ROUNDS
+
+
+def test_large_batches_are_audited_for_as_many_rounds(problem):
+    sizes = [100] * 20
+    audits = audits_of(problem(batch_size=100), sizes, begun_at=300)
+    assert audits == [10] * AUDITED_ROUNDS + [0] * 8
+
+
+def test_without_an_order_nothing_audits_it(problem):
+    state = state_of(40)
+    state.labels.learned = None
+    assert audits_due(problem(), state, 100) == 0
 
 
 def test_small_batches_are_put_together_to_rounds(cases):

@@ -1,5 +1,6 @@
 """What is held about a pool's draws."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from crashrate.estimation.view import MIN_SCALE, Standardiser, normalised, see
 from crashrate.sampling.pool import draw_pool
 
 PRIOR = Prior(bump=0.5, length=2.0, variance=1e3, linear=1.0, slope=1.0, constant=0.0)
-AS_IS = Standardiser(np.zeros(2), np.ones(2))
+AS_IS = Standardiser(np.zeros(2), np.ones(2), np.ones(2))
 
 
 def labelled(case, x, y, *, ordered=True):
@@ -41,6 +42,35 @@ def test_standardiser_keeps_the_pool_within_reach():
     u = np.concatenate([np.linspace(-3, 3, 99), [1.0, 1.0 + 1e-9]])[:, None]
     weights = np.concatenate([np.zeros(99), [0.5, 0.5]])
     assert np.abs(Standardiser.weighted(u, weights)(u)).max() < 10 / MIN_SCALE
+
+
+def test_where_runs_teach_most_does_not_move_the_unit_of_what_is_deep(cases, monkeypatch):
+    """In units as narrow as the learning runs lie a vehicle's ripples would refute its order."""
+    from crashrate.estimation import view as module
+
+    case = cases.half_plane(1e-3)
+    labels = labelled(case, [[3.0, 3.0], [1.5, 1.5]], [1, 0])
+    seen = []
+    for density in (0.2, 0.8):
+        monkeypatch.setattr(module, "LEARN_DENSITY", density)
+        view = looked_at(case, labels)
+        seen.append(Standardiser.weighted(view.pool.u, view.learning, view.breadth))
+    wide, narrow = seen
+    assert np.array_equal(wide.unit, narrow.unit)
+    assert np.all(narrow.scale < 0.9 * wide.scale)
+    assert wide.widening == pytest.approx(1.0)
+    assert narrow.widening == pytest.approx(math.sqrt((narrow.unit / narrow.scale).prod()))
+
+
+def test_coordinates_that_stay_take_the_new_unit():
+    before = Standardiser(np.zeros(2), np.ones(2), np.ones(2))
+    near = Standardiser(np.full(2, 0.1), np.ones(2), np.full(2, 3.0))
+    kept = before.or_else(near)
+    assert np.array_equal(kept.center, before.center)
+    assert np.array_equal(kept.unit, near.unit)
+    assert before.or_else(replace(near, unit=np.full(2, 1.1))) is before
+    far = replace(near, center=np.ones(2))
+    assert before.or_else(far) is far
 
 
 def test_order_decides_and_the_rest_is_the_surrogates(cases):

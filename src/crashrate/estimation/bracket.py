@@ -220,7 +220,7 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
         return state
     rng = problem.rng(AUDITS + state.k)
     snapshot = replace(_standing(labels, _bounds(problem, state)), phase="audit")
-    scale = state.model.standardise.scale
+    scale = state.model.standardise.unit
     labels, audit = yield from audit_order(
         problem, state.proposal, labels, scale, n_runs, rng=rng, snapshot=snapshot
     )
@@ -229,7 +229,7 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
 
 def _refuted(state: State) -> bool:
     """Whether the outcomes contradict the order as much as makes an estimate drop it."""
-    return verdict(state.labels, state.model.standardise.scale) is not Verdict.STANDS
+    return verdict(state.labels, state.model.standardise.unit) is not Verdict.STANDS
 
 
 def _dropped() -> Snapshot:

@@ -28,10 +28,10 @@ def look_closer(
     problem: Problem, state: State, view: View, snapshot: Snapshot, rng: np.random.Generator
 ) -> Generator[Query, FloatArray, State]:
     """Look beside the first odd crash not followed yet; the same state if there is none."""
-    rows = np.setdiff1d(odd(state.labels, state.model.standardise.scale), state.followed)
+    rows = np.setdiff1d(odd(state.labels, state.model.standardise.unit), state.followed)
     if not len(rows):
         return state
-    scale = Standardiser.weighted(view.pool.x, view.learning).scale
+    scale = Standardiser.weighted(view.pool.x, view.breadth).scale
     before, row, told = state.labels, int(rows[0]), replace(snapshot, phase="learn")
     labels = yield from follow(problem, before, row, scale, rng=rng, snapshot=told)
     followed = (*state.followed, row, *range(before.n, labels.n))

@@ -93,7 +93,7 @@ class Model:
         if labels.learned is None:
             soft = labels.order is None or not directed
         else:
-            soft = labels.contradiction_gaps(self.standardise.scale).max(initial=0.0) > DEEP
+            soft = labels.contradiction_gaps(self.standardise.unit).max(initial=0.0) > DEEP
         return sharp + SOFT if soft else sharp
 
 

@@ -59,7 +59,7 @@ def audit(view: View, n: int, rng: np.random.Generator) -> IntArray:
 def to_learn(
     view: View, n: int, audits: IntArray, rng: np.random.Generator, *, ordered: bool
 ) -> IntArray:
-    """`n` draws that teach most about the crash set: half by dominance, half by doubt."""
+    """`n` draws that teach most about the crash set: half by dominance or audits, half by doubt."""
     first = aside(view, n // 2 if ordered else 0, audits, rng)
     rest = rng.choice(len(view.h), n - len(first), p=view.learning)
     return np.unique(np.concatenate([first, rest]).astype(int))

@@ -37,8 +37,15 @@ from crashrate.estimation.rounds import (
     not_refuted,
 )
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
-from crashrate.estimation.sizing import ROUND, last, size, size_to_learn
-from crashrate.estimation.state import AUDIT_EVERY, State
+from crashrate.estimation.sizing import (
+    AUDIT_EVERY,
+    ROUND,
+    audits_due,
+    last,
+    size,
+    size_to_learn,
+)
+from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
 from crashrate.estimation.view import Standardiser, View, see
@@ -185,7 +192,8 @@ def _round(
         rounds = state.rounds
     else:
         labels, rounds = yield from _estimate(problem, state, view, snapshot, rng)
-    standardise = model.standardise.or_else(Standardiser.weighted(view.pool.u, view.learning))
+    seen = Standardiser.weighted(view.pool.u, view.learning, view.breadth)
+    standardise = model.standardise.or_else(seen)
     state = replace(
         state,
         labels=labels,
@@ -202,8 +210,8 @@ def _audits(
     problem: Problem, state: State, view: View, n: int, rng: np.random.Generator
 ) -> IntArray:
     """Those of a round's `n` runs where the order knows the outcome: among crashes, and far off."""
-    among = audit(view, state.audits_due(n), rng)
-    far = state.audits_due(n, shift=AUDIT_EVERY // 2)  # by turns where rounds are short
+    among = audit(view, audits_due(problem, state, n), rng)
+    far = audits_due(problem, state, n, shift=AUDIT_EVERY // 2)
     return np.concatenate([among, vouched_safe(problem, state.labels, view.pool, far)])
 
 
@@ -237,7 +245,8 @@ def _estimate(
     n_last = last(problem, state, view)
     n = n_last or size(problem, state)
     n_aside = round(ASIDE_SHARE * n) if state.ordered and n_last is None else 0
-    others = aside(wanted, n_aside, _audits(problem, state, wanted, n, rng), rng)
+    audits = _audits(problem, state, wanted, n if n_aside else 0, rng)
+    others = aside(wanted, n_aside, audits, rng)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))
     room = problem.max_calls - state.labels.n
@@ -259,7 +268,7 @@ def _fit(state: State) -> tuple[Surrogate, Model]:
 
 def _distrust(state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
-    found = verdict(state.labels, state.model.standardise.scale)
+    found = verdict(state.labels, state.model.standardise.unit)
     if found is not Verdict.STANDS:
         return replace(
             state,

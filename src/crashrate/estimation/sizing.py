@@ -9,6 +9,9 @@ from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import View
 
 ROUND = 10
+# Of the first runs, as many as so many whole rounds have, one in ten audits what the order implies
+# to crash, and one in ten what only the order holds to be safe. (By runs: rounds may be shorter.)
+AUDIT_EVERY, AUDITED_ROUNDS = 10, 12
 FEWEST = ROUND  # draws of the last round: to look more often is to stop at the first lucky look
 
 
@@ -28,6 +31,19 @@ def size_to_learn(problem: Problem, state: State) -> int:
     The second half is better chosen by what the first one taught.
     """
     return size(problem, state) // 2
+
+
+def audits_due(problem: Problem, state: State, n: int, shift: int = 0) -> int:
+    """How many of the next `n` runs audit the order: none once enough of them have.
+
+    Some of all draws that estimate are audits as well. `shift`: counted as if so many runs more
+    had been made, for audits of two kinds that are to come by turns.
+    """
+    if not state.ordered:
+        return 0
+    most = AUDITED_ROUNDS * size(problem, state)
+    done = min(state.labels.n - state.begun_at, most)
+    return (min(done + n, most) + shift) // AUDIT_EVERY - (done + shift) // AUDIT_EVERY
 
 
 def last(problem: Problem, state: State, view: View) -> int | None:

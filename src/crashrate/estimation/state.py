@@ -15,9 +15,6 @@ from crashrate.variables import FloatArray
 LEARNING_RUNS = 300
 LATE_RUNS = 200  # where the first crash came late: nothing was known of its region before
 RELEARNING_RUNS = 100  # after an order was dropped
-# Of the first runs after exploration one in so many audits what the order implies to crash, and as
-# many what only the order holds to be safe. (By runs, for rounds that learn are shorter.)
-AUDIT_EVERY, AUDITED_RUNS = 10, 120
 # What was seen may narrow an interval; not without an order, which nothing could contradict, and
 # least of all at a rough edge: its draws have only not yet met the rare large contributions, and
 # campaigns whose surrogate is too sure of itself (by 1.7 to 2 in standard deviation, one in ten)
@@ -91,15 +88,6 @@ class State:
     def ordered(self) -> bool:
         """Whether a risk order is in use."""
         return self.labels.learned is not None
-
-    def audits_due(self, n: int, shift: int = 0) -> int:
-        """Of the next `n` runs: one in `AUDIT_EVERY`, `shift` runs earlier, until enough were.
-
-        Some of all draws that estimate are audits as well.
-        """
-        first = min(self.labels.n - self.begun_at, AUDITED_RUNS) + shift
-        last = min(first + n, AUDITED_RUNS + shift)
-        return last // AUDIT_EVERY - first // AUDIT_EVERY if self.ordered else 0
 
     @property
     def may_learn(self) -> bool:
