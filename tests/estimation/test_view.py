@@ -1,6 +1,5 @@
 """What is held about a pool's draws."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -58,8 +57,6 @@ def test_where_runs_teach_most_does_not_move_the_unit_of_what_is_deep(cases, mon
     wide, narrow = seen
     assert np.array_equal(wide.unit, narrow.unit)
     assert np.all(narrow.scale < 0.9 * wide.scale)
-    assert wide.widening == pytest.approx(1.0)
-    assert narrow.widening == pytest.approx(math.sqrt((narrow.unit / narrow.scale).prod()))
 
 
 def test_coordinates_that_stay_take_the_new_unit():
@@ -199,6 +196,16 @@ def test_holes_leave_a_doubt_about_what_the_order_implies(cases):
     assert (whole.h[far] == 1).all()
     assert holed.inner[far].any()
     assert (holed.h[far & holed.inner] <= 1 - 1 / 5).all()
+
+
+def test_a_ripple_is_no_hole(cases):
+    case = cases.half_plane(0.2)
+    at = [[v, v] for v in (0.7, 1.0, 1.3, 1.6, 1.9, 2.2)] + [[-1.0, -1.0], [0.4, 0.4]]
+    labels = labelled(case, at, [1, 1, 0, 1, 1, 1, 0, 0])
+    hole = looked_at(case, labels)
+    ripple = looked_at(case, labels, standardise=replace(AS_IS, unit=np.full(2, 20.0)))
+    assert hole.h.max() == 1 - 1 / 5
+    assert ripple.h.max() == 1
 
 
 def test_margin_asks_for_more_than_an_outcome_beyond_another(cases):

@@ -31,9 +31,9 @@ OBJECTION = 0.5  # an implied label counts unless the surrogate holds the opposi
 # the ACC+AEB plant (its 0.1 s control step). Ripples are as deep as the deepest contradiction seen,
 # and at least RIPPLE (standardised coordinates). A smooth edge has next to no mass so near.
 RIPPLE, EDGE_DOUBT = 0.05, 0.01
-# Exponents of the traffic density and of h (1-h) where outcomes teach most. What is deep, a ripple
-# or a false order, is told in units of a broader measure: near the likely crashes they would be up
-# to three times as small, and the ACC+AEB vehicle lost its order over ripples after 990 runs.
+# Exponents of the traffic density and of h (1-h) where outcomes teach most. What is deep, a hole or
+# a false order, is told in units of a broader measure: near the likely crashes they would be up to
+# three times as small, and the ACC+AEB vehicle lost its order over ripples after 990 runs.
 LEARN_DENSITY, BREADTH_DENSITY, LEARN_VARIANCE = 0.5, 0.2, 3.0
 
 
@@ -45,7 +45,7 @@ class Standardiser:
     ----------
     center, scale : ndarray, shape (m,)
     unit : ndarray, shape (m,)
-        Of the coordinates where it is told how deep outcomes contradict an order.
+        Of the coordinates, for how deep outcomes contradict an order.
     """
 
     center: FloatArray
@@ -78,11 +78,6 @@ class Standardiser:
         """
         center, scale = _spread(u, weights)
         return cls(center, scale, scale if broad is None else _spread(u, broad)[1])
-
-    @property
-    def widening(self) -> float:
-        """The unit in scales, in the mean over the coordinates."""
-        return float(np.exp(np.log(self.unit / self.scale).mean()))
 
 
 def _stretch(scale: FloatArray, other: FloatArray) -> float:
@@ -251,9 +246,9 @@ def held(
     presumed_crash, presumed_safe = labels.presumed(u)
     inner, outside = presumed_crash & (raw > 1 - OBJECTION), presumed_safe & (raw < OBJECTION)
     h = np.where(inner, 1.0, np.where(outside, 0.0, raw))
-    ripple = labels.contradiction_gaps(standardise.unit).max(initial=RIPPLE)
-    deep = labels.implied_deep(u, ripple * standardise.unit)
-    edge = (inner | outside) & (np.abs(seen.danger) < 2 * ripple * standardise.widening) & ~deep
+    ripple = labels.contradiction_gaps(standardise.scale).max(initial=RIPPLE)
+    deep = labels.implied_deep(u, ripple * standardise.scale)
+    edge = (inner | outside) & (np.abs(seen.danger) < 2 * ripple) & ~deep
     h = np.where(edge, np.clip(raw, EDGE_DOUBT, 1 - EDGE_DOUBT), h)
     n_holes, n_tested = labels.exceptions(RIPPLE * standardise.unit)
     if n_holes:
