@@ -243,8 +243,8 @@ def run(
         int,
         typer.Option(
             min=1,
-            help="Simulator runs asked for at a time: as many as run side by side; half as many "
-            "while it learns. Large batches are grown into, and cost more runs.",
+            help="Simulator runs asked for at a time: as many as run side by side. Batches above "
+            "ten are grown into, and cost more runs.",
         ),
     ] = 10,
     replay_calls: Annotated[

@@ -38,7 +38,7 @@ def test_inflated_has_every_component_at_every_size():
 @pytest.mark.parametrize("p", [1e-2, 1e-6])
 def test_finds_the_edge_with_few_runs(cases, drive, p):
     case = cases.half_plane(p)
-    found, queries = drive(explore(problem_of(case)), case.crash)
+    found, queries = drive(explore(problem_of(case), 2), case.crash)
     assert found.found
     assert sum(len(q.x) > 1 for q in queries) <= 1  # the probes of the order come together
     assert found.labels.n < 50
@@ -50,14 +50,14 @@ def test_finds_the_edge_with_few_runs(cases, drive, p):
 
 def test_edge_points_are_near_the_likeliest_crash(cases, drive):
     case = cases.half_plane(1e-6)
-    labels = drive(explore(problem_of(case)), case.crash)[0].labels
+    labels = drive(explore(problem_of(case), 2), case.crash)[0].labels
     distance = np.linalg.norm(labels.crashes, axis=1)
     assert distance.min() < 4.7534 + 1.2  # the likeliest crash is 4.7534 from the centre
 
 
 def test_without_an_order_space_is_filled_until_a_crash(cases, drive):
     case = cases.half_plane(1e-3)
-    found, _ = drive(explore(problem_of(case, risk=None)), case.crash)
+    found, _ = drive(explore(problem_of(case, risk=None), 2), case.crash)
     assert found.found
     assert found.labels.learned is None
 
@@ -65,7 +65,7 @@ def test_without_an_order_space_is_filled_until_a_crash(cases, drive):
 def test_an_order_whose_most_dangerous_situations_are_safe_is_dropped(cases, drive):
     case = cases.disc()
     down = dict.fromkeys("ab", "decreasing")
-    found, queries = drive(explore(problem_of(case, risk=down, max_calls=60)), case.crash)
+    found, queries = drive(explore(problem_of(case, risk=down, max_calls=60), 2), case.crash)
     assert found.labels.learned is None
     assert len(queries) > MAX_INFLATIONS
 
@@ -75,16 +75,16 @@ def test_an_order_whose_most_dangerous_situations_are_safe_is_dropped(cases, dri
 def test_keeps_to_the_budget(cases, drive, max_calls, ordered):
     case = cases.half_plane(1e-4)
     risk = case.risk if ordered else None
-    found, _ = drive(explore(problem_of(case, risk=risk, max_calls=max_calls)), case.crash)
+    found, _ = drive(explore(problem_of(case, risk=risk, max_calls=max_calls), 2), case.crash)
     assert found.labels.n <= max_calls
 
 
 def test_common_crashes_leave_no_ordinary_draws_for_safe(cases, drive):
     case = cases.half_plane(0.3)
-    found, _ = drive(explore(problem_of(case)), case.crash)
+    found, _ = drive(explore(problem_of(case), 2), case.crash)
     assert len(found.ordinary) == 0
     rare = cases.half_plane(1e-6)
-    found, _ = drive(explore(problem_of(rare)), rare.crash)
+    found, _ = drive(explore(problem_of(rare), 2), rare.crash)
     assert len(found.ordinary) > 0
     assert not rare.crash(found.ordinary).any()
 
@@ -96,7 +96,7 @@ def test_failed_simulations_do_not_end_the_search(cases, drive):
     def simulate(x):
         return np.where(next(calls) % 3 == 2, np.nan, case.crash(x))
 
-    found, _ = drive(explore(problem_of(case)), simulate)
+    found, _ = drive(explore(problem_of(case), 2), simulate)
     assert found.found
     assert np.isnan(found.labels.y).any()
 
@@ -119,7 +119,7 @@ def test_a_coordinate_that_is_infinite_on_a_bound_is_not_tried_there(drive):
         {"closing": (lambda x: x[:, 0] / x[:, 1], "increasing")}, traffic.names
     )
     problem = Problem(traffic=traffic, order=order, max_calls=30)
-    found, _ = drive(explore(problem), lambda x: np.zeros(len(x)))
+    found, _ = drive(explore(problem, 2), lambda x: np.zeros(len(x)))
     assert not found.found
 
 

@@ -1,12 +1,16 @@
 """The default campaign against exact answers, over many seeds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 from scipy.stats import norm
 
+from crashrate.estimation import sequential
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.run import estimate
+from crashrate.estimation.sizing import AUDITED_ROUNDS
 
 
 @pytest.mark.parametrize(
@@ -148,6 +152,33 @@ def test_one_wrong_outcome_is_no_confident_answer(cases, k, seed):
     )  # fmt: skip
     assert Alarm.ORDER_CONTRADICTED in got.alarms
     assert got.interval[0] < 1e-5 < got.interval[1]
+
+
+def test_audits_of_both_kinds_are_simulated(cases, monkeypatch):
+    due, simulated = {"among": [], "far": []}, []
+    among, far = sequential.audit, sequential.vouched_safe
+
+    def spy_among(view, n, rng):
+        rows = among(view, n, rng)
+        due["among"] += view.pool.x[rows].tolist()
+        return rows
+
+    def spy_far(problem, labels, pool, n):
+        rows = far(problem, labels, pool, n)
+        due["far"] += pool.x[rows].tolist()
+        return rows
+
+    monkeypatch.setattr(sequential, "audit", spy_among)
+    monkeypatch.setattr(sequential, "vouched_safe", spy_far)
+    case = cases.half_plane(1e-6)
+
+    def crash(x):
+        simulated.extend(x.tolist())
+        return case.crash(x)
+
+    replace(case, crash=crash).estimate(max_calls=180, relative_half_width=1e-3)
+    assert [len(x) for x in due.values()] == [AUDITED_ROUNDS] * 2
+    assert all(x in simulated for x in due["among"] + due["far"])
 
 
 def test_ten_coordinates_do_not_hang(cases):

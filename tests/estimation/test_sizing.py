@@ -65,9 +65,13 @@ def test_large_batches_are_grown_into(problem, batch_size, n, expected):
     assert size(problem(batch_size=batch_size), state_of(n)) == expected
 
 
-@pytest.mark.parametrize(("batch_size", "expected"), [(1, 5), (10, 5), (50, 25)])
-def test_a_round_that_learns_has_half_the_runs(problem, batch_size, expected):
+@pytest.mark.parametrize(("batch_size", "expected"), [(1, 5), (10, 5), (50, 50)])
+def test_a_round_of_ten_that_learns_has_half_the_runs(problem, batch_size, expected):
     assert size_to_learn(problem(batch_size=batch_size), state_of(400)) == expected
+
+
+def test_a_round_that_learns_of_members_is_whole(problem):
+    assert size_to_learn(problem(), replace(state_of(400), members=(1,))) == ROUND
 
 
 def audits_of(problem, sizes, *, begun_at=23, shift=0):

@@ -91,8 +91,8 @@ def bracket(problem: Problem) -> Bracketing:
 
 
 def _explore(problem: Problem) -> Generator[Query, FloatArray, Explored | None]:
-    """Explore as for an estimate; None as soon as the order is dropped."""
-    # the edge is all that bounds need: more lines than an estimate pays for
+    """Explore, along more lines than an estimate pays for; None once the order is dropped."""
+    # the edge is all that bounds need
     steps, outcomes = explore(problem, 2 + problem.traffic.n_variables), None
     try:
         while True:

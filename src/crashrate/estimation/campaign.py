@@ -53,8 +53,9 @@ class Campaign:
         bracket is at most `relative_half_width` times its middle.
     batch_size : int
         Most simulator runs asked for at a time. The search for a first crash and its edge asks for
-        one at a time; rounds that learn for half as many; later rounds are at most half of the runs
-        before them, and the last no larger than the target needs. Larger batches take more runs.
+        one at a time; up to ten, rounds that learn ask for five; later rounds are at most half of
+        the runs before them, and the last no larger than the target needs. Larger batches take more
+        runs.
     earlier_targets : sequence of (float, int)
         Half-widths that a resumed campaign aimed at before, each until so many simulator runs.
     earlier_budgets : sequence of (int, int)

@@ -112,7 +112,7 @@ class Adapted:
 
 def cross_entropy(problem: Problem) -> Generator[Query, FloatArray, Snapshot]:
     """Adapt a proposal, then estimate with it; see the module."""
-    explored = yield from explore(problem)
+    explored = yield from explore(problem, 2 + problem.traffic.n_variables)
     labels = explored.labels
     if not explored.found:
         found = yield from crude(problem, labels)

@@ -1,8 +1,8 @@
 """Exploration: the first crash, and the crash set's edge near the likeliest crashes.
 
 With a risk order: inflate the traffic model until its most dangerous draw crashes, bisect down the
-chain of draws sorted by danger, then search along two lines from the likeliest crash to
-ordinary traffic. Without one: a space-filling search over everything that traffic can reach.
+chain of draws sorted by danger, then search along lines from the likeliest crash to ordinary
+traffic. Without one: a space-filling search over everything that traffic can reach.
 """
 
 from collections.abc import Generator
@@ -34,7 +34,6 @@ INFLATION = 4.0
 INFLATION_STEP = 1.5
 MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
-N_LINES = 2  # five taught less about the edge than the rounds that their runs pay for
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
 # without an order: shares of traffic's probability that are left out, and runs
@@ -98,7 +97,7 @@ def inflated(traffic: TrafficModel, factors: tuple[float, ...]) -> Gaussians:
     )
 
 
-def explore(problem: Problem, n_lines: int = N_LINES) -> Exploration:
+def explore(problem: Problem, n_lines: int) -> Exploration:
     """Find a crash, and along `n_lines` lines where the crash set begins; see the module."""
     rng, labels, n_filling = problem.rng(0), Labels.empty(problem), 0
     ordinary = problem.traffic.sample(N_ORDINARY, rng)

@@ -20,7 +20,7 @@ from crashrate.estimation.view import Standardiser, View
 from crashrate.variables import FloatArray
 
 N_BESIDE = 3  # runs at a time, …
-STEPS = (0.1, 0.2, 0.4, 0.8)  # … ever farther off, in standardised units, while most crash
+STEPS = (0.1, 0.2, 0.4, 0.8)  # … ever farther off, in spreads of `View.breadth`, while most crash
 N_TRIED = 50  # situations beside it, of which some may lie outside the box or have no coordinates
 
 
@@ -38,20 +38,20 @@ def look_closer(
     return replace(state, labels=labels, followed=followed)
 
 
-def odd(labels: Labels, scale: FloatArray) -> IntArray:
+def odd(labels: Labels, unit: FloatArray) -> IntArray:
     """Rows of crashes deep in what many safe outcomes imply.
 
     Parameters
     ----------
     labels : Labels
-    scale : ndarray, shape (m,)
+    unit : ndarray, shape (m,)
         Of the risk coordinates, for what is deep.
     """
     if labels.learned is None or not labels.contradictions:
         return np.empty(0, dtype=int)
     contradicted = np.flatnonzero(labels.known)[labels.learned.contradicted]
     crashes = contradicted[labels.y[contradicted] == 1]
-    deep = (labels.contradiction_gaps(scale) > DEEP).sum(axis=1) > MAX_AGAINST
+    deep = (labels.contradiction_gaps(unit) > DEEP).sum(axis=1) > MAX_AGAINST
     return np.asarray(crashes[deep])
 
 

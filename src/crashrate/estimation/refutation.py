@@ -8,7 +8,7 @@ from crashrate.variables import BoolArray, FloatArray
 # An order is given up where more outcomes than these, and than this share of all, would have to be
 # discarded for the others to agree with it …
 MAX_DISCARDED, MAX_DEEP_SHARE, MAX_ROUGH_SHARE = 8, 0.06, 0.03
-# … but for contradictions shallower than ripples at the crash set's edge, in standardised units.
+# … but for contradictions shallower than ripples at the crash set's edge (`Standardiser.unit`).
 # Ripples are contradicted by a share of the runs that grows with their number, as all runs come to
 # lie at the edge: they are doubted there (`view.RIPPLE`), and counting them would at last drop any
 # order that a simulator's time step blurs.
@@ -24,9 +24,9 @@ class Verdict(Enum):
     FALSE = auto()  # contradicted by more than ripples
 
 
-def verdict(labels: Labels, scale: FloatArray) -> Verdict:
-    """Whether the order stands, with the surrogate's units `scale` (m,) for what is deep."""
-    gaps = labels.contradiction_gaps(scale)
+def verdict(labels: Labels, unit: FloatArray) -> Verdict:
+    """Whether the order stands, with the `Standardiser.unit` (m,) for what is deep."""
+    gaps = labels.contradiction_gaps(unit)
     if _too_many(gaps > DEEP, MAX_DEEP_SHARE * labels.n):
         return Verdict.FALSE
     if _too_many(gaps > ROUGH, MAX_ROUGH_SHARE * labels.n):

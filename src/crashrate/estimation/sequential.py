@@ -55,6 +55,7 @@ from crashrate.variables import FloatArray
 # random streams beside those of the rounds
 BEGINNING, ENCOUNTERS, SURVEYS, MORE = 2_000_000, 2_000_001, 2_000_002, 3_000_000
 FOLLOWING = 4_000_000
+N_LINES = 2  # two more than variables taught less of the edge than the rounds they would pay for
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
@@ -64,7 +65,7 @@ Learner = Generator[Query, FloatArray, Snapshot]
 
 def sequential(problem: Problem) -> Learner:
     """Run the default method; see the module."""
-    explored = yield from explore(problem)
+    explored = yield from explore(problem, N_LINES)
     if not explored.found:
         found = yield from crude(problem, explored.labels)
         if isinstance(found, Snapshot):
@@ -245,7 +246,8 @@ def _estimate(
     n_last = last(problem, state, view)
     n = n_last or size(problem, state)
     n_aside = round(ASIDE_SHARE * n) if state.ordered and n_last is None else 0
-    audits = _audits(problem, state, wanted, n if n_aside else 0, rng)
+    # what is audited in a last round could change no later one
+    audits = _audits(problem, state, wanted, n if n_last is None else 0, rng)
     others = aside(wanted, n_aside, audits, rng)
     drawn = to_estimate(view, n - len(others), rng, wanted if state.members else None)
     rows = np.unique(np.concatenate([drawn.rows, others]))

@@ -9,8 +9,8 @@ from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import View
 
 ROUND = 10
-# Of the first runs, as many as so many whole rounds have, one in ten audits what the order implies
-# to crash, and one in ten what only the order holds to be safe. (By runs: rounds may be shorter.)
+# Of the runs of the first twelve whole rounds one in ten audits what the order implies to crash,
+# and one in ten what only the order holds to be safe. Counted by runs: rounds may be shorter.
 AUDIT_EVERY, AUDITED_ROUNDS = 10, 12
 FEWEST = ROUND  # draws of the last round: to look more often is to stop at the first lucky look
 
@@ -26,11 +26,13 @@ def size(problem: Problem, state: State) -> int:
 
 
 def size_to_learn(problem: Problem, state: State) -> int:
-    """Runs of a round that learns: half of one that estimates.
+    """Runs of a round that learns: half of one that estimates, where that has ten.
 
-    The second half is better chosen by what the first one taught.
+    The second half is better chosen by what the first one taught. Whoever asks for more at a time
+    has workers that would wait; and rounds that look at members are few, and counted.
     """
-    return size(problem, state) // 2
+    halved = problem.batch_size <= ROUND and not state.members
+    return size(problem, state) // (2 if halved else 1)
 
 
 def audits_due(problem: Problem, state: State, n: int, shift: int = 0) -> int:

@@ -29,7 +29,8 @@ OBJECTION = 0.5  # an implied label counts unless the surrogate holds the opposi
 # the surrogate's edge is within two of them, so that it is simulated now and then. Certainty would
 # lose the crashes of a set that is monotone but for ripples at its edge: 2 % of the probability of
 # the ACC+AEB plant (its 0.1 s control step). Ripples are as deep as the deepest contradiction seen,
-# and at least RIPPLE (standardised coordinates). A smooth edge has next to no mass so near.
+# and at least RIPPLE scales of the surrogate. A smooth edge has next to no mass so near. A safe
+# outcome deeper among implied crashes, RIPPLE units and more, is a hole.
 RIPPLE, EDGE_DOUBT = 0.05, 0.01
 # Exponents of the traffic density and of h (1-h) where outcomes teach most. What is deep, a hole or
 # a false order, is told in units of a broader measure: near the likely crashes they would be up to
