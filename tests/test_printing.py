@@ -93,11 +93,16 @@ def test_progress_follows_what_is_aimed_at():
             consequences=(replace(injury, aimed=aimed),),
             phase="estimate",
         )
-        campaign = SimpleNamespace(snapshot=snapshot, n_calls=80, goal="probability")
+        campaign = SimpleNamespace(snapshot=snapshot, n_calls=80, n_failed=0, goal="probability")
         assert standing(campaign) == f"80 simulator runs, estimate: {says}"
 
 
 def test_progress_says_which_runs_were_stored():
-    campaign = SimpleNamespace(snapshot=Snapshot(), n_calls=80, goal="probability")
+    campaign = SimpleNamespace(snapshot=Snapshot(), n_calls=80, n_failed=0, goal="probability")
     assert standing(campaign, 120) == "80 simulator runs (of 120 stored), explore"
     assert standing(campaign, 70) == "80 simulator runs, explore"
+
+
+def test_progress_counts_what_failed():
+    campaign = SimpleNamespace(snapshot=Snapshot(), n_calls=80, n_failed=7, goal="probability")
+    assert standing(campaign) == "80 simulator runs, 7 failed, explore"

@@ -33,6 +33,13 @@ def consequence_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
+def what_came(array: npt.NDArray[np.generic]) -> str:
+    """What a message says of an array of the wrong shape."""
+    if array.shape == () and array.item() is None:
+        return "None (does the function return what it computes?)"
+    return f"shape {array.shape} of dtype {array.dtype}"
+
+
 def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
     """What a campaign is told, as a table (n, 1 + K); without names, (n,) outcomes alone.
 
@@ -51,12 +58,12 @@ def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
     array = np.asarray(told)
     if array.shape != (n,):
         raise InvalidInputError(
-            f"tell: expected {n} outcomes, one per situation asked for, got shape {array.shape}."
+            f"tell: expected {n} outcomes, one per situation asked for, got {what_came(array)}."
         )
     if array.dtype.kind not in "biuf":
         raise InvalidInputError(
             f"tell: expected True, False or NaN (failed), got dtype {array.dtype}, such as "
-            f"{array[0]!r} (a function that returns None has no return)."
+            f"{array[0]!r}."
         )
     y = array.astype(np.float64)
     bad = np.flatnonzero(~(np.isnan(y) | (y == 0) | (y == 1)))

@@ -173,7 +173,8 @@ def standing(campaign: "Campaign", n_stored: int = 0) -> str:
     """How a campaign stands, on one line of progress; the first `n_stored` runs are not new."""
     snapshot, calls = campaign.snapshot, campaign.n_calls
     stored = f" (of {n_stored} stored)" * (calls <= n_stored)
-    text = f"{runs(calls, 'simulator run')}{stored}, {snapshot.phase}"
+    failed = f", {campaign.n_failed} failed" * (campaign.n_failed > 0)
+    text = f"{runs(calls, 'simulator run')}{stored}{failed}, {snapshot.phase}"
     if campaign.goal == "bounds":
         low, high = snapshot.bounds
         return f"{text}: {low:.1e} ≤ P ≤ {high:.1e}" if low > 0 else text

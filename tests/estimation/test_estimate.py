@@ -59,6 +59,7 @@ def test_sentence():
     unseen = replace(NOTHING, probability=0.0, n_crashes=0)
     assert "is not determined: no crash was seen" in unseen.sentence()
     assert "P(fall) = 2.0e-06 per step" in ANSWER.sentence("fall", "step")
+    assert "100 simulator runs, 3 of them failed;" in replace(ANSWER, n_failed=3).sentence()
 
 
 def test_sentence_of_bounds():

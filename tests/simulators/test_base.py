@@ -39,7 +39,7 @@ def test_failed_simulations_stay_nan():
         ([[1.0], [0.0, 1.0], []], "one outcome per row"),
         ([np.inf, 0.0, 0.0], "got inf"),
         ([2, 0, 1], "got 2 at row 0"),
-        (None, "shape"),
+        (None, "got None .does the function return"),
     ],
 )
 def test_anything_else_is_refused(outcomes, message):

@@ -11,8 +11,9 @@ class Alarm(StrEnum):
     """A named doubt about an estimate; the value is what a person reads."""
 
     NO_CRASH_FOUND = (
-        "no crash was found: the interval's upper end comes from random encounters alone, "
-        "and is far above any rare probability"
+        "no crash was found: the interval's upper end comes from random encounters alone, and is "
+        "far above any rare probability; check that the simulator returns true for a crash, and "
+        "takes the columns in their order and units"
     )
     TOO_FEW_CRASHES = (
         "the estimate rests on fewer than ten simulated crashes: the interval's normal "
@@ -39,8 +40,8 @@ class Alarm(StrEnum):
         "outcomes contradict it; the estimate trusts no outcome that it implies"
     )
     NEARLY_ALL_CRASH = (
-        "nearly every ordinary encounter would crash: does the simulator return true for a safe "
-        "outcome, or take its inputs in other units?"
+        "nearly every ordinary encounter would crash: check that the simulator returns true for a "
+        "crash, and takes the columns in their order and units"
     )
     TRAFFIC_UNDETERMINED = (
         "the events do not determine the probability: traffic models that fit them about "
@@ -83,7 +84,8 @@ class Alarm(StrEnum):
     )
     SIMULATIONS_FAILED = (
         "some simulations failed: the interval holds with each of those it rests on counted as a "
-        "crash and as safe, and likewise with regions in which all runs failed"
+        "crash and as safe, and likewise with regions in which all runs failed; it narrows where "
+        "fewer of them fail"
     )
     TARGET_NOT_REACHED = (
         "the budget ended before the target was reached, or before what it rests on was checked"

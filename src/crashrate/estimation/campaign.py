@@ -164,6 +164,11 @@ class Campaign:
         return sum(len(y) for y in self._told)
 
     @property
+    def n_failed(self) -> int:
+        """Those of them that failed."""
+        return int(np.count_nonzero(np.isnan(self.outcomes)))
+
+    @property
     def x(self) -> FloatArray:
         """Situations simulated so far, shape (n_calls, d)."""
         return np.concatenate([np.empty((0, self._problem.traffic.n_variables)), *self._asked])
@@ -246,7 +251,7 @@ class Campaign:
             bounds=s.bounds,
             n_calls=len(y),
             n_crashes=n_crashes,
-            n_failed=int(np.count_nonzero(np.isnan(y))),
+            n_failed=self.n_failed,
             n_eff=s.n_eff,
             largest_weight_share=s.largest_weight_share,
             log_efficiency=s.log_efficiency,

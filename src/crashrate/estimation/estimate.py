@@ -36,7 +36,8 @@ class Estimate:
     confidence : float
         0.95 unless asked otherwise.
     standard_error : float
-        Of `probability`.
+        Of `probability`. The interval is Student's with few degrees of freedom, so it is longer
+        than a normal one.
     bounds : (float, float)
         P(inner) ≤ p ≤ P(outer): hold if the risk order is exact; (0, 1) without one. Exact at the
         end where the risk coordinates allow it; else drawn, two standard errors to the safe side.
@@ -129,7 +130,8 @@ class Estimate:
         )
 
     def _runs(self) -> str:
-        return f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}"
+        failed = f", {self.n_failed} of them failed" if self.n_failed else ""
+        return f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}{failed}"
 
     def _bracket(self, event: str, per: str) -> str:
         low, high = self.bounds

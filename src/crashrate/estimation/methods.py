@@ -93,10 +93,10 @@ def declared(
     """
     names = consequence_names(consequences)
     if aim is not None and aim not in names:
-        known = f"one of the consequences ({', '.join(names)})" if names else "none"
+        known = nearest(aim, names) if names else ", and none is declared"
         raise InvalidInputError(
-            f"aim: expected {known}, got {aim!r}{nearest(aim, names)}; declare it in consequences, "
-            "or leave aim out to aim at the event."
+            f"aim: expected one of the consequences, got {aim!r}{known}; declare it in "
+            "consequences, or leave aim out to aim at the event."
         )
     if names and (method not in TELL_CONSEQUENCES or goal != "probability"):
         raise InvalidInputError(

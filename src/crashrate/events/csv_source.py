@@ -64,8 +64,8 @@ class CsvSource:
         other = _other_separator(first_line or self._first_line())
         hint = f" Its columns are separated by {other}: save it again with commas." if other else ""
         return EventsError(
-            f"{self.path}: expected a comma-separated table in UTF-8 with a header line: {error}"
-            f"{hint}"
+            f"{self.path}: expected a comma-separated table in UTF-8 with a header line: "
+            f"{str(error).rstrip('.')}.{hint}"
         )
 
     def _first_line(self) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.errors import SimulationError
-from crashrate.outcomes import Told, outcome_table
+from crashrate.outcomes import Told, outcome_table, what_came
 from crashrate.variables import FloatArray
 
 
@@ -60,13 +60,12 @@ def check_outcomes(
     array = _as_array(outcomes, what)
     if array.shape != (n,):
         raise SimulationError(
-            f"{what}: expected one outcome per row, shape ({n},), got shape {array.shape} of "
-            f"dtype {array.dtype}."
+            f"{what}: expected one outcome per row, shape ({n},), got {what_came(array)}."
         )
     if array.dtype.kind not in "biuf":
         raise SimulationError(
             f"{what}: expected booleans, or the numbers 1, 0 and NaN (failed), got dtype "
-            f"{array.dtype} (a function that returns None has no return)."
+            f"{array.dtype}, such as {array[0]!r}."
         )
     values = array.astype(np.float64)
     odd = np.flatnonzero(~(np.isnan(values) | (values == 0.0) | (values == 1.0)))
