@@ -98,6 +98,20 @@ def test_soft_kernels_join_where_outcomes_contradict_an_order_deeply(cases, monk
     assert fitted.converged
 
 
+def test_kernels_are_chosen_anew_where_labels_grew_or_it_is_asked_for(cases, monkeypatch):
+    monkeypatch.setattr(kernels, "REFIT_ALWAYS", 0)
+    labels = labelled(cases, 60, smooth)
+    _, model = Model(AS_IS).fit(labels, NONE, directed=True)
+    # as if the kernel that fits worst had been chosen
+    model = replace(model, best=SOFT[0], n_chosen=55)
+    stays, _ = model.fit(labels, NONE, directed=True)
+    again, _ = model.fit(labels, NONE, directed=True, again=True)
+    grown, _ = replace(model, n_chosen=50).fit(labels, NONE, directed=True)
+    assert stays.prior.variance == SOFT[0].variance
+    assert again.prior == grown.prior
+    assert again.prior.variance > stays.prior.variance
+
+
 @pytest.mark.parametrize("bump", [0.1, 3.0])
 def test_far_from_every_run_is_safe_without_an_order_whatever_the_kernel(bump):
     prior = kernels._prior(Kernel(bump, 1.0, 1e4), 2, directed=False)

@@ -1,6 +1,7 @@
 """The default campaign against exact answers, over many seeds."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -179,6 +180,25 @@ def test_audits_of_both_kinds_are_simulated(cases, monkeypatch):
     replace(case, crash=crash).estimate(max_calls=180, relative_half_width=1e-3)
     assert [len(x) for x in due.values()] == [AUDITED_ROUNDS] * 2
     assert all(x in simulated for x in due["among"] + due["far"])
+
+
+@pytest.mark.parametrize("learning", [True, False])
+@pytest.mark.parametrize("ordered", [True, False])
+@pytest.mark.parametrize("rounds", [(), ("a round",)])
+def test_kernels_are_chosen_anew_where_it_learns_again_without_an_order(learning, ordered, rounds):
+    def fit(*_, directed, again):
+        return directed, again
+
+    state = SimpleNamespace(
+        model=SimpleNamespace(fit=fit),
+        labels=None,
+        ordinary=None,
+        directed=False,
+        ordered=ordered,
+        learning=learning,
+        rounds=rounds,
+    )
+    assert sequential._fit(state) == (False, learning and not ordered and rounds != ())
 
 
 def test_ten_coordinates_do_not_hang(cases):

@@ -62,16 +62,18 @@ class Model:
         return replace(self, warm=(), n_chosen=0)
 
     def fit(
-        self, labels: Labels, ordinary: FloatArray, *, directed: bool
+        self, labels: Labels, ordinary: FloatArray, *, directed: bool, again: bool = False
     ) -> tuple[Surrogate, Self]:
         """The surrogate of these outcomes, by the kernel of the best leave-one-out score.
 
-        `ordinary` (n, m) counts as safe; `directed`: danger grows along the coordinates.
+        `ordinary` (n, m) counts as safe; `directed`: danger grows along the coordinates; `again`:
+        the kernel is chosen anew however few labels came since.
         """
         known = labels.known
         u = self.standardise(np.concatenate([ordinary, labels.u[known]]))
         crash = np.concatenate([np.zeros(len(ordinary), bool), labels.y[known] == 1])
-        choose = labels.n < REFIT_ALWAYS or labels.n >= REFIT_GROWTH * self.n_chosen
+        grown = labels.n >= REFIT_GROWTH * self.n_chosen
+        choose = again or grown or labels.n < REFIT_ALWAYS
         warm, d = dict(self.warm), labels.u.shape[1]
         fits = {
             kernel: fit_telling(

@@ -265,7 +265,9 @@ def _estimate(
 
 
 def _fit(state: State) -> tuple[Surrogate, Model]:
-    return state.model.fit(state.labels, state.ordinary, directed=state.directed)
+    # learning again: the kernel was a bad choice, and would stay for another seventh of the runs
+    again = not state.ordered and state.learning and bool(state.rounds)
+    return state.model.fit(state.labels, state.ordinary, directed=state.directed, again=again)
 
 
 def _distrust(state: State, view: View) -> State:
