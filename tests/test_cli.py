@@ -350,6 +350,9 @@ def test_stopped_by_a_signal_and_resumed_gives_the_same_bits(small, signal):
     (module,) = small.glob("vehicle_*.py")
     module.write_text(
         "import os, pathlib, signal\n"
+        # a shell's background jobs, this test's too, inherit that SIGINT is ignored
+        "if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def crashes(x):\n"
         f"    once = pathlib.Path({str(small / 'once')!r})\n"
         "    if once.exists() and once.read_text().count('x') == 2:\n"
