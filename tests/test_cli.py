@@ -275,7 +275,8 @@ def test_json_is_pure_and_the_same_everywhere(small, quick):
     done = json.loads(small_run(small, "--format", "json").stdout)
     stored = json.loads((small / "run" / "result.json").read_text())
     shown = json.loads(crashrate("status", small / "run", "--format", "json").stdout)
-    assert done == stored == shown
+    assert done == stored
+    assert shown == stored | {"running": False}
     assert done["schema"] == "crashrate.result/1"
     assert done["alarms"][0]["name"] == "WEIGHTS_CONCENTRATED"
 

@@ -76,6 +76,12 @@ def test_a_prior_that_had_to_be_raised_is_warned_of(capsys):
     assert "Warning: the prior had to be raised from 1 to 100 events" in capsys.readouterr().err
 
 
+def under_way(**changes):
+    problem = SimpleNamespace(max_calls=2000, relative_half_width=0.1)
+    plain = dict(snapshot=Snapshot(), n_calls=80, n_failed=0, goal="probability", problem=problem)
+    return SimpleNamespace(**plain | changes)
+
+
 def test_progress_follows_what_is_aimed_at():
     injury = Consequence(
         name="injury",
@@ -86,23 +92,27 @@ def test_progress_follows_what_is_aimed_at():
         n_carrying=30,
         largest_weight_share=0.1,
     )
-    for aimed, says in ((False, "P = 1.0e-06 ± 50 %"), (True, "E(injury) = 1.0e-07 ± 20 %")):
+    for aimed, says in ((False, "P = 1.00e-06 ± 50 %"), (True, "E(injury) = 1.00e-07 ± 20 %")):
         snapshot = Snapshot(
             probability=1e-6,
             interval=(5e-7, 1.5e-6),
             consequences=(replace(injury, aimed=aimed),),
             phase="estimate",
         )
-        campaign = SimpleNamespace(snapshot=snapshot, n_calls=80, n_failed=0, goal="probability")
-        assert standing(campaign) == f"80 simulator runs, estimate: {says}"
+        shown = standing(under_way(snapshot=snapshot))
+        assert shown == f"80 of at most 2,000 runs, estimate: {says} (target ± 10 %)"
 
 
 def test_progress_says_which_runs_were_stored():
-    campaign = SimpleNamespace(snapshot=Snapshot(), n_calls=80, n_failed=0, goal="probability")
-    assert standing(campaign, 120) == "80 simulator runs (of 120 stored), explore"
-    assert standing(campaign, 70) == "80 simulator runs, explore"
+    assert standing(under_way(), 120) == "80 of at most 2,000 runs (of 120 stored), explore"
+    assert standing(under_way(), 70) == "80 of at most 2,000 runs, explore"
 
 
 def test_progress_counts_what_failed():
-    campaign = SimpleNamespace(snapshot=Snapshot(), n_calls=80, n_failed=7, goal="probability")
-    assert standing(campaign) == "80 simulator runs, 7 failed, explore"
+    assert standing(under_way(n_failed=7)) == "80 of at most 2,000 runs, 7 failed, explore"
+
+
+def test_progress_of_bounds():
+    shown = standing(under_way(goal="bounds", snapshot=Snapshot(bounds=(1e-7, 3e-7))))
+    assert shown == "80 of at most 2,000 runs, explore: 1.0e-07 ≤ P ≤ 3.0e-07 (target ± 10 %)"
+    assert standing(under_way(goal="bounds")) == "80 of at most 2,000 runs, explore"

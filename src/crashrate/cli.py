@@ -358,13 +358,13 @@ def demo(
 
 def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int) -> None:
     """Print the answer, write the report, leave with the exit code."""
-    from crashrate.runs import runner
+    from crashrate.runs.result import read_result
 
     if n_stored:
         taken = min(n_stored, estimate.n_calls)
         new = runs(estimate.n_calls - taken, "new simulator run")
         typer.echo(f"{runs(taken, 'outcome')} taken from {directory}, {new}.", err=True)
-    print_result(runner.status(directory), output)  # first: a report that fails must not hide it
+    print_result(read_result(directory), output)  # first: a report that fails must not hide it
     typer.echo(f"{directory / 'result.json'}, {_write_report(directory)}", err=True)
     codes = {"TARGET_MET": 0, "ALL_FAILED": ERROR}
     raise typer.Exit(codes.get(estimate.stop_reason.name, TARGET_NOT_MET))

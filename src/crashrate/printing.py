@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _ROUNDING = 1e-9
 UNFINISHED = "Not finished; the same `run` command goes on."
+RUNNING = "Not finished; a process is at it now."
 
 
 class Format(StrEnum):
@@ -49,12 +50,20 @@ def print_result(result: dict[str, Any], output: Format) -> None:
         typer.echo(
             "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True
         )
-    unfinished = result["stop_reason"] == StopReason.RUNNING.value
-    typer.echo(UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}.", err=True)
+    typer.echo(_how_it_stands(result), err=True)
     if result["stop_reason"] == StopReason.BUDGET_ENDED.value:
         typer.echo("The same command with a larger --max-calls goes on from here.", err=True)
     for alarm in result["alarms"]:
         typer.echo(f"Alarm: {alarm['message']}.", err=True)
+
+
+def _how_it_stands(result: Mapping[str, Any]) -> str:
+    from crashrate.estimation.alarms import StopReason
+
+    if result.get("running"):  # said by status alone
+        return RUNNING
+    unfinished = result["stop_reason"] == StopReason.RUNNING.value
+    return UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}."
 
 
 def _print_answers(result: Mapping[str, Any]) -> None:
@@ -171,17 +180,18 @@ def runs(n: int, word: str) -> str:
 
 def standing(campaign: "Campaign", n_stored: int = 0) -> str:
     """How a campaign stands, on one line of progress; the first `n_stored` runs are not new."""
-    snapshot, calls = campaign.snapshot, campaign.n_calls
+    snapshot, calls, problem = campaign.snapshot, campaign.n_calls, campaign.problem
     stored = f" (of {n_stored} stored)" * (calls <= n_stored)
     failed = f", {campaign.n_failed} failed" * (campaign.n_failed > 0)
-    text = f"{runs(calls, 'simulator run')}{stored}{failed}, {snapshot.phase}"
+    text = f"{calls:,} of at most {problem.max_calls:,} runs{stored}{failed}, {snapshot.phase}"
+    target = f"(target ± {100 * problem.relative_half_width:.3g} %)"
     if campaign.goal == "bounds":
         low, high = snapshot.bounds
-        return f"{text}: {low:.1e} ≤ P ≤ {high:.1e}" if low > 0 else text
+        return f"{text}: {low:.1e} ≤ P ≤ {high:.1e} {target}" if low > 0 else text
     aimed = next((c for c in snapshot.consequences if c.aimed), None)
     number = snapshot.probability if aimed is None else aimed.mean
     if not number > 0:
         return text
     low, high = snapshot.interval if aimed is None else aimed.interval
     relative, name = (high - low) / 2 / number, "P" if aimed is None else f"E({aimed.name})"
-    return f"{text}: {name} = {number:.1e} ± {100 * relative:.0f} %"
+    return f"{text}: {name} = {number:.2e} ± {100 * relative:.3g} % {target}"

@@ -51,7 +51,7 @@ def test_result_holds_every_promised_key(uninterrupted):
     assert set(result["versions"]) == {"crashrate", "numpy", "scipy", "python"}
     assert result["n_calls"] == 60
     assert result["synthetic"] is False
-    assert status(uninterrupted) == result
+    assert status(uninterrupted) == result | {"running": False}
 
 
 def test_estimate_is_that_of_a_campaign_alone(go, scenario, traffic, tmp_path, vehicle):
@@ -379,6 +379,37 @@ def test_two_writers_are_noticed(go, tmp_path):
 
     with pytest.raises(StoreError, match="another process writes"):
         go(tmp_path, on_progress=meddle)
+
+
+def test_a_second_run_in_the_same_folder_is_refused_before_it_simulates(go, tmp_path, vehicle):
+    seen = []
+
+    def meanwhile(campaign):
+        if campaign.n_calls == 20:
+            before = vehicle.n_runs
+            with pytest.raises(StoreError, match="another process runs in this folder"):
+                go(tmp_path)
+            seen.append((vehicle.n_runs - before, status(tmp_path)["running"]))
+
+    go(tmp_path, on_progress=meanwhile)
+    assert seen == [(0, True)]
+    assert status(tmp_path)["running"] is False
+
+
+def test_a_refused_run_leaves_no_folder(go, tmp_path):
+    with pytest.raises(InvalidInputError, match="batch_size"):
+        go(tmp_path / "run", batch_size=0)
+    assert not (tmp_path / "run").exists()
+
+
+def test_where_locks_do_not_work_a_run_goes_on(go, tmp_path, uninterrupted, monkeypatch):
+    def no_locks(*_, **__):
+        raise NotImplementedError
+
+    monkeypatch.setattr("filelock.FileLock.acquire", no_locks)
+    go(tmp_path / "run")
+    assert status(tmp_path / "run")["running"] is False
+    assert result_text(tmp_path / "run") == result_text(uninterrupted)
 
 
 def test_status_and_record_say_what_is_missing(tmp_path, uninterrupted):

@@ -40,6 +40,7 @@ from crashrate.runs.configuration import (
     versions,
     vouched,
 )
+from crashrate.runs.only_writer import is_being_written, only_writer
 from crashrate.runs.result import read_result, result_dict, write_result
 from crashrate.runs.scenario import Scenario
 from crashrate.runs.store import Batch, RunStore
@@ -115,7 +116,7 @@ def run(
         If an argument is not as described, or the traffic model has other variables.
     StoreError
         If the folder holds the run of another configuration or of a simulator that was edited
-        since, or more runs than `max_calls`, or is damaged.
+        since, or more runs than `max_calls`, or is damaged, or another process runs in it.
     SimulationError
         If the simulator failed; everything before is stored, and the same call resumes.
     """
@@ -123,49 +124,52 @@ def run(
     require_same_variables(scenario, traffic)
     if events is not None:
         require_severity(scenario, events)
-    half_width = _given(relative_half_width, target.relative_half_width)
-    aims = _targets(directory, float(half_width), TARGETS)
-    budget = _given(max_calls, target.max_calls)
-    budgets = _targets(directory, budget, BUDGETS)
-    campaign = Campaign(
-        traffic,
-        risk=scenario.risk_mapping(),
-        seed=seed,
-        relative_half_width=half_width,
-        max_calls=budget,
-        confidence=target.confidence,
-        method=_given(method, target.method),
-        goal=goal or target.goal,
-        batch_size=batch_size,
-        consequences=scenario.outcome.consequences,
-        aim=target.aim if aim is None else _aimed(aim, scenario),
-        earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
-        earlier_budgets=[(b, n) for (b, _), (_, n) in pairwise(budgets)],
-    )
-    simulate = scenario.simulator()
-    config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
-    with _store(directory, config, campaign.problem, same_vehicle=same_vehicle) as store:
-        store.set_config(TARGETS, json.dumps(aims))
-        store.set_config(BUDGETS, json.dumps(budgets))
-        sitting = _Sitting(
-            directory,
-            scenario,
-            campaign,
-            simulate,
-            store,
-            on_progress or _ignore,
-            events is not None and campaign.method in LEARNING,
+    with only_writer(directory):
+        half_width = _given(relative_half_width, target.relative_half_width)
+        aims = _targets(directory, float(half_width), TARGETS)
+        budget = _given(max_calls, target.max_calls)
+        budgets = _targets(directory, budget, BUDGETS)
+        campaign = Campaign(
+            traffic,
+            risk=scenario.risk_mapping(),
+            seed=seed,
+            relative_half_width=half_width,
+            max_calls=budget,
+            confidence=target.confidence,
+            method=_given(method, target.method),
+            goal=goal or target.goal,
+            batch_size=batch_size,
+            consequences=scenario.outcome.consequences,
+            aim=target.aim if aim is None else _aimed(aim, scenario),
+            earlier_targets=[(t, n) for (t, _), (_, n) in pairwise(aims)],
+            earlier_budgets=[(b, n) for (b, _), (_, n) in pairwise(budgets)],
         )
-        estimate = _go_on(sitting, _replay(sitting))
-        belief = campaign.snapshot.belief
-        if events is None or belief is None:
-            return estimate
-        comparison = Comparison(events, traffic, belief, scenario.severity, seed, target.confidence)
-        return _checked(sitting, estimate, comparison, replay_calls, say or _say_nothing)
+        simulate = scenario.simulator()
+        config = configuration(scenario, traffic, campaign, source_hash_of(simulate))
+        with _store(directory, config, campaign.problem, same_vehicle=same_vehicle) as store:
+            store.set_config(TARGETS, json.dumps(aims))
+            store.set_config(BUDGETS, json.dumps(budgets))
+            sitting = _Sitting(
+                directory,
+                scenario,
+                campaign,
+                simulate,
+                store,
+                on_progress or _ignore,
+                events is not None and campaign.method in LEARNING,
+            )
+            estimate = _go_on(sitting, _replay(sitting))
+            belief = campaign.snapshot.belief
+            if events is None or belief is None:
+                return estimate
+            comparison = Comparison(
+                events, traffic, belief, scenario.severity, seed, target.confidence
+            )
+            return _checked(sitting, estimate, comparison, replay_calls, say or _say_nothing)
 
 
 def status(directory: str | Path) -> dict[str, Any]:
-    """What `result.json` of the run in `directory` says.
+    """What `result.json` of the run in `directory` says, and whether it goes on now (`running`).
 
     Raises
     ------
@@ -173,7 +177,7 @@ def status(directory: str | Path) -> dict[str, Any]:
         If there is no run, it has no result yet, or it is damaged.
     """
     RunStore.open(Path(directory)).close()
-    return read_result(Path(directory))
+    return read_result(Path(directory)) | {"running": is_being_written(Path(directory))}
 
 
 def n_stored(directory: str | Path) -> int:
@@ -361,6 +365,7 @@ def _go_on(sitting: _Sitting, k: int) -> Estimate:
     campaign = sitting.campaign
     # of the last whole step: an interrupted one leaves the campaign between two states
     estimate, written = campaign.estimate(), time.monotonic()
+    _write(sitting, estimate)  # status has something to show while the first batch is simulated
     try:
         while not campaign.done:
             x = campaign.ask()

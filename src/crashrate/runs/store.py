@@ -76,10 +76,7 @@ class RunStore:
             raise StoreError(
                 f"{directory}: expected a folder without a run, found one; choose another --out."
             )
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StoreError(f"{directory}: expected a folder to write to, got: {error}.") from None
+        make_folder(directory)
         store = cls(directory, _connect(directory, "rwc"))
         with store._transaction() as connection:
             for statement in TABLES.split(";"):
@@ -199,7 +196,7 @@ class RunStore:
             ) from error
         except sqlite3.Error as error:
             if getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY"):
-                raise self._read_only() from error
+                raise read_only(self.directory) from error
             raise StoreError(
                 f"{self.directory / FILE}: expected a run written by crashrate, got: {error}; "
                 "restore the file from a copy, or choose another --out."
@@ -215,17 +212,35 @@ class RunStore:
         table = _array(outcomes)
         return Batch(_array(x).reshape(n, d), table.reshape(n, 1 + n_z) if n_z else table)
 
-    def _read_only(self) -> StoreError:
-        return StoreError(
-            f"{self.directory}: this run folder cannot be written (read-only); make it and the "
-            "files in it writable, or copy the folder and give the copy as --out."
-        )
-
     def _damaged(self, expected: str, got: str) -> StoreError:
         return StoreError(
             f"{self.directory / FILE}: damaged: expected {expected}, got {got}; restore the file "
             "from a copy, or choose another --out."
         )
+
+
+def make_folder(directory: Path) -> bool:
+    """Make `directory`; False where it was there.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be made.
+    """
+    new = not directory.is_dir()
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{directory}: expected a folder to write to, got: {error}.") from None
+    return new
+
+
+def read_only(directory: Path) -> StoreError:
+    """The error of a run folder that cannot be written."""
+    return StoreError(
+        f"{directory}: this run folder cannot be written (read-only); make it and the files in it "
+        "writable, or copy the folder and give the copy as --out."
+    )
 
 
 def _connect(directory: Path, mode: str) -> sqlite3.Connection:
