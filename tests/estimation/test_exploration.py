@@ -62,6 +62,18 @@ def test_without_an_order_space_is_filled_until_a_crash(cases, drive):
     assert found.labels.learned is None
 
 
+@pytest.mark.parametrize(("d", "p"), [(2, 1e-8), (3, 1e-9)])
+def test_without_an_order_a_rare_half_space_is_found_in_a_few_runs(cases, drive, d, p):
+    # most of the search leaves out the least dense 1e-7 of traffic, and would see nothing of it
+    case = cases.half_plane(p, d=d)
+    for seed in range(3):
+        problem = problem_of(case, risk=None, seed=seed)
+        found, _ = drive(explore(problem, 2), case.crash)
+        first = int(np.argmax(found.labels.y == 1)) + 1
+        assert found.labels.crashes.size
+        assert first <= 15
+
+
 def test_an_order_whose_most_dangerous_situations_are_safe_is_dropped(cases, drive):
     case = cases.disc()
     down = dict.fromkeys("ab", "decreasing")

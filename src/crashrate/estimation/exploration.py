@@ -14,7 +14,6 @@ from crashrate.crash_set.fronts import maximal
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import (
     NEGLIGIBLE_MASS,
-    RARE_MASS,
     Asking,
     ask,
     farthest,
@@ -36,8 +35,9 @@ MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
-# without an order: shares of traffic's probability that are left out, and runs
-FILLING = ((RARE_MASS, 150), (NEGLIGIBLE_MASS, 50))
+# Without an order: shares of traffic's probability that are left out, and runs. The first few, far
+# out, find what lies beyond a bound however rare it is; small sets lie among what is less rare.
+FILLING = ((NEGLIGIBLE_MASS, 15), (1e-7, 135), (NEGLIGIBLE_MASS, 50))
 MAX_SPREAD = 0.5  # standard deviation of an inflated component, in widths of the box
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
@@ -187,7 +187,7 @@ def _fill_space(
 ) -> Asking:
     """Simulate the draw farthest from all simulated ones until one crashes.
 
-    First where events that are not the rarest would be: the space beyond is as large again.
+    Mostly where events that are not the rarest would be: the space beyond is as large again.
     """
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
     for least, most in FILLING:
