@@ -74,6 +74,15 @@ def test_fit_survives_repeated_rows_and_a_constant_column():
     assert np.linalg.eigvalsh(got.covariances).min() > 0
 
 
+def test_draws_that_agree_but_for_rounding_have_a_density_that_can_be_computed():
+    rng = np.random.default_rng(4)
+    x = np.array([3.0, -70.0]) * (1 + 1e-16 * rng.standard_normal((500, 2)))
+    fit = fit_gaussians(x, 1, rng)
+    found = fit.log_density(fit.sample(4000, rng)).mean()  # its negative is the entropy
+    entropy = np.log(2 * np.pi) + 1 + np.linalg.slogdet(fit.covariances[0])[1] / 2
+    assert abs(found + entropy) < 0.1
+
+
 def test_one_dimension():
     x = np.random.default_rng(7).normal(3.0, 2.0, (4000, 1))
     got = fit_gaussians(x, 1, np.random.default_rng(8))

@@ -11,6 +11,7 @@ from crashrate.variables import FloatArray
 
 EM_STEPS = 15
 MIN_THICKNESS = 1e-4
+ROUNDED = 1e-6  # least standard deviation over the size of the numbers
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ def fit_gaussians(x: FloatArray, n_components: int, rng: np.random.Generator) ->
         Chooses the starting means.
     """
     center, scale = x.mean(axis=0), x.std(axis=0)
+    # draws that differ in their last digits only have no density that could be computed
+    scale = np.maximum(scale, ROUNDED * np.abs(x).max(axis=0))
     scale = np.where(scale > 0, scale, 1.0)
     z = (x - center) / scale
     # whitened: draws may lie along a line, ten thousand times as thin as it is long
