@@ -55,9 +55,11 @@ def test_sentence():
         "P(crash) = 2.0e-06 per encounter, 95 % Monte Carlo interval [1.8e-06, 2.2e-06] "
         "(± 10 %); 100 simulator runs; crude Monte Carlo would need 190 million"
     )
-    assert "P(crash) has no estimate yet" in NOTHING.sentence()
+    assert NOTHING.sentence() == "P(crash) has no estimate yet; 100 simulator runs"
     unseen = replace(NOTHING, probability=0.0, n_crashes=0)
-    assert "is not determined: no crash was seen" in unseen.sentence()
+    assert "no crash was seen; 100 simulator runs" in unseen.sentence()
+    bounded = replace(unseen, interval=(0.0, 0.02))
+    assert "no crash was seen, 95 % Monte Carlo interval [0.0e+00, 2.0e-02]" in bounded.sentence()
     assert "P(fall) = 2.0e-06 per step" in ANSWER.sentence("fall", "step")
     assert "100 simulator runs, 3 of them failed;" in replace(ANSWER, n_failed=3).sentence()
 

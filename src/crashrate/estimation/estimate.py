@@ -122,12 +122,14 @@ class Estimate:
         """The answer in one sentence."""
         if self.goal == "bounds":
             return f"{self._bracket(event, per)}; {self._runs()}"
+        return f"{self._head(event, per)}{self._around()}; {self._runs()}{self._crude()}"
+
+    def _around(self) -> str:
+        if self.interval == (0.0, 1.0) and not self.probability > 0:
+            return ""  # nothing is known, and no interval says so better
         low, high = self.interval
-        return (
-            f"{self._head(event, per)}, {100 * self.confidence:g} % Monte Carlo interval "
-            f"[{low:.1e}, {high:.1e}]{self._relative()}; "
-            f"{self._runs()}{self._crude()}"
-        )
+        interval = f"{100 * self.confidence:g} % Monte Carlo interval [{low:.1e}, {high:.1e}]"
+        return f", {interval}{self._relative()}"
 
     def _runs(self) -> str:
         failed = f", {self.n_failed} of them failed" if self.n_failed else ""
