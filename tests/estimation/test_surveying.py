@@ -1,4 +1,4 @@
-"""Without an order, crash regions far from the first one found are looked for, and found."""
+"""Crash regions far from the first one found are looked for where no order speaks, and found."""
 
 import numpy as np
 import pytest
@@ -59,14 +59,66 @@ def test_a_surprise_voids_what_was_estimated_and_a_clean_look_ends_it(cases, mon
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 
-def test_an_order_needs_no_survey(cases, monkeypatch):
-    def fail(*_):
-        raise AssertionError("looked without need")
+LEVELS = np.array([3.0, 3.1, 3.1, 3.2])
 
-    monkeypatch.setattr(sequential, "survey", fail)
-    monkeypatch.setattr(sequential, "first_survey", fail)
-    case = cases.half_plane(1e-4)
-    assert Alarm.NO_ORDER not in case.estimate(relative_half_width=0.3).alarms
+
+def any_beyond(x):
+    """Four crash regions, one for each variable: the order holds, and says nothing between them."""
+    return (x >= LEVELS).any(axis=1)
+
+
+ANY = -np.expm1(np.log(norm.cdf(LEVELS)).sum())
+
+
+def ordered(cases, seed, **options):
+    options = {"relative_half_width": 0.2, "max_calls": 600, "risk": cases.increasing(4)} | options
+    return estimate(any_beyond, cases.standard_normal(4), seed=seed, **options)
+
+
+def test_with_an_order_the_places_it_is_silent_about_are_looked_at(cases, monkeypatch):
+    looks = []
+    look = surveying.survey
+
+    def watched(problem, belief, snapshot, rng):
+        labels, surprise = yield from look(problem, belief, snapshot, rng)
+        looks.append((belief, labels, surprise))
+        return labels, surprise
+
+    monkeypatch.setattr(sequential, "survey", watched)
+    got = ordered(cases, 3)
+    assert got.interval[0] <= ANY <= got.interval[1]
+    assert got.stop_reason is StopReason.TARGET_MET
+    assert not looks[-1][2]
+    for belief, labels, surprise in looks:
+        x, y = labels.x[belief.labels.n :], labels.y[belief.labels.n :]
+        assert len(x) == surveying.N_EACH * 4
+        assert not np.logical_or(*belief.labels.presumed(belief.labels.coordinates(x))).any()
+        assert (belief.see(x).surrogate_h < surveying.SURE).all()
+        assert surprise == (y == 1).any()
+
+
+def test_with_an_order_nothing_is_looked_at_where_it_leaves_little_open(cases, monkeypatch):
+    monkeypatch.setattr(surveying, "LITTLE", 1e9)
+    looked = ordered(cases, 0)
+    monkeypatch.setattr(surveying, "N_EACH", 0)
+    assert looked == ordered(cases, 0)
+
+
+def test_with_an_order_too_a_surprise_voids_what_was_estimated(cases, monkeypatch):
+    """A look that meets a crash, once: the target has to be met anew, by new rounds."""
+    plain, looks = ordered(cases, 0), []
+
+    def surprised(problem, belief, snapshot, rng):
+        labels, surprise = yield from surveying.survey(problem, belief, snapshot, rng)
+        looks.append(labels.n)
+        return labels, surprise or len(looks) == 1
+
+    monkeypatch.setattr(sequential, "survey", surprised)
+    got = ordered(cases, 0)
+    assert len(looks) >= 2
+    assert looks[0] <= plain.n_calls
+    assert got.n_calls >= looks[0] + 30  # three rounds, at least
+    assert got.interval[0] <= ANY <= got.interval[1]
 
 
 def test_surveys_come_to_an_end(cases, monkeypatch):

@@ -86,7 +86,7 @@ def sequential(problem: Problem) -> Learner:
         closer = yield from look_closer(problem, state, view, snapshot, rng)
         state = state if closer is state else _distrust(closer, view)
         snapshot = _snapshot(problem, state, view)
-        if snapshot.stop_reason is not StopReason.RUNNING and not (state.ordered or state.surveyed):
+        if snapshot.stop_reason is not StopReason.RUNNING and not state.surveyed:
             state = yield from _survey(problem, state, snapshot)
             snapshot = _snapshot(problem, state, view)
         if _outvoted(problem, state):

@@ -1,9 +1,10 @@
 """Surveys: where no risk order speaks, runs far from all others, wherever traffic may reach.
 
-A surrogate without an order takes what no run came near for safe. Its crash set grows from the
-first crash found; another, or a far end of the same, stays unseen, and half a probability with it.
-Before it is trusted, and again when the target is met, the emptiest places are looked at: a crash
-where the surrogate was sure of safety refutes what was estimated before.
+A surrogate takes what no run came near for safe. Its crash set grows from the first crash found;
+another, or a far end of the same, stays unseen, and half a probability with it. Before it is
+trusted, and again when the target is met, the emptiest places are looked at: a crash where the
+surrogate was sure of safety refutes what was estimated before. With a risk order only those are
+left to look at that no outcome decides, and once the target is met is early enough.
 """
 
 from collections.abc import Generator
@@ -21,12 +22,15 @@ from crashrate.estimation.probing import (
     reachable,
 )
 from crashrate.estimation.strategy import Problem, Query, Snapshot
-from crashrate.sampling.pool import draw_pool
+from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.variables import FloatArray
 
 N_FIRST, N_AGAIN = 20, 10
 MAX_SURVEYS = 6
 SURPRISE = 0.5  # a crash less likely than this was not expected
+# With an order: runs for each coordinate, where the surrogate holds a crash to be less likely than
+# SURE; none where all such places have less than the share LITTLE of the estimate.
+N_EACH, SURE, LITTLE = 2, 0.01, 0.05
 
 Surveying = Generator[Query, FloatArray, tuple[Labels, bool]]
 
@@ -44,7 +48,10 @@ def survey(
 ) -> Surveying:
     """Look again; the labels, and whether a crash was met where none was believed."""
     labels = belief.labels
-    x = emptiest(problem, labels, N_AGAIN, rng)
+    if belief.ordered:
+        x = _silent(problem, belief, snapshot.probability, rng)
+    else:
+        x = emptiest(problem, labels, N_AGAIN, rng)
     sure = belief.see(x).surrogate_h < SURPRISE
     before = labels.n
     labels = yield from ask(problem, labels, x, snapshot)
@@ -52,10 +59,28 @@ def survey(
     return labels, bool((met & sure[: len(met)]).any())
 
 
+def _silent(
+    problem: Problem, belief: Belief, probability: float, rng: np.random.Generator
+) -> FloatArray:
+    """Situations (n, d) that no outcome decides and the surrogate is sure are safe, far from all.
+
+    None where all of those together would add next to nothing to the `probability`.
+    """
+    labels = belief.labels
+    pool = _wide(problem, labels, rng)
+    near = reachable(pool, likeliest(problem, labels))
+    decided = np.logical_or(*labels.presumed(pool.u[near]))
+    sure = belief.see(pool.x[near]).surrogate_h < SURE
+    rows = near[sure & ~decided]
+    if pool.weights[rows].sum() <= LITTLE * probability:
+        return pool.x[:0]
+    n = N_EACH * pool.u.shape[1]
+    return np.asarray(pool.x[farthest(pool.u, labels.u, rows, n)])
+
+
 def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
     """Situations (n, d) each the farthest from all runs: half where a crash would matter most."""
-    wide = inflated(problem.traffic, factors(INFLATION))
-    pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+    pool = _wide(problem, labels, rng)
     known = likeliest(problem, labels)
     near = reachable(pool, known) if known > -np.inf else np.empty(0, dtype=int)
     first = farthest(pool.u, labels.u, near, n // 2)
@@ -63,3 +88,8 @@ def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator)
     seen = np.concatenate([labels.u, pool.u[first]])
     rest = farthest(pool.u, seen, everywhere, n - len(first))
     return np.asarray(pool.x[np.concatenate([first, rest])])
+
+
+def _wide(problem: Problem, labels: Labels, rng: np.random.Generator) -> Pool:
+    wide = inflated(problem.traffic, factors(INFLATION))
+    return draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
