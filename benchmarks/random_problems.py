@@ -31,7 +31,7 @@ from crashrate.sampling.gaussians import Gaussians, fit_gaussians
 from crashrate.traffic.model import TrafficModel
 from study import Record, clopper_pearson, mend, read, seeds, study, without
 
-KEYS = ("seed", "ordered", "target", "version")
+KEYS = ("seed", "ordered", "target", "max_calls", "version")
 PRECISE, MOST_DRAWS = 0.005, 40
 ENOUGH, LEVELS_TOLD, MOST_LEVELS = 1000, 3, 40  # of the reference's way to its level
 Danger = Callable[[Rows], Rows]
@@ -200,6 +200,7 @@ def run_seed(task: Record) -> Record:
         risk=p.risk if task["ordered"] else None,
         seed=task["seed"],
         relative_half_width=task["target"],
+        max_calls=task["max_calls"],
     )
     low, high = got.interval
     return task | {
@@ -263,10 +264,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="JSON lines, appended to")
     parser.add_argument("--unordered", action="store_true", help="declare no risk order")
     parser.add_argument("--target", type=float, default=0.1, help="relative half-width")
+    parser.add_argument("--max-calls", type=int, default=1000, help="budget of each campaign")
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     args = parser.parse_args()
     mend(args.out)
-    fixed = {"ordered": not args.unordered, "target": args.target, "version": crashrate.__version__}
+    fixed = {
+        "ordered": not args.unordered,
+        "target": args.target,
+        "max_calls": args.max_calls,
+        "version": crashrate.__version__,
+    }
     tasks = [{"seed": seed} | fixed for seed in args.seeds]
     study(run_seed, without(tasks, read(args.out), KEYS), args.out, args.processes, _progress)
     by_order = itertools.groupby(

@@ -45,9 +45,9 @@ def test_a_surprise_voids_what_was_estimated_and_a_clean_look_ends_it(cases, mon
     look = surveying.survey
 
     def watched(*arguments):
-        labels, surprise = yield from look(*arguments)
-        looks.append(surprise)
-        return labels, surprise
+        found = yield from look(*arguments)
+        looks.append(found[1])
+        return found
 
     monkeypatch.setattr(sequential, "survey", watched)
     ratios = []
@@ -80,16 +80,17 @@ def test_with_an_order_the_places_it_is_silent_about_are_looked_at(cases, monkey
     look = surveying.survey
 
     def watched(problem, belief, snapshot, rng):
-        labels, surprise = yield from look(problem, belief, snapshot, rng)
-        looks.append((belief, labels, surprise))
-        return labels, surprise
+        found = yield from look(problem, belief, snapshot, rng)
+        looks.append((belief, *found))
+        return found
 
     monkeypatch.setattr(sequential, "survey", watched)
     got = ordered(cases, 3)
     assert got.interval[0] <= ANY <= got.interval[1]
     assert got.stop_reason is StopReason.TARGET_MET
     assert not looks[-1][2]
-    for belief, labels, surprise in looks:
+    for belief, labels, surprise, whole in looks:
+        assert whole
         x, y = labels.x[belief.labels.n :], labels.y[belief.labels.n :]
         assert len(x) == surveying.N_EACH * 4
         assert not np.logical_or(*belief.labels.presumed(belief.labels.coordinates(x))).any()
@@ -104,14 +105,25 @@ def test_with_an_order_nothing_is_looked_at_where_it_leaves_little_open(cases, m
     assert looked == ordered(cases, 0)
 
 
+@pytest.mark.parametrize("missing", [1, surveying.N_EACH * 4])
+def test_a_look_that_the_budget_cuts_short_does_not_count(cases, missing):
+    whole = ordered(cases, 0)
+    cut = ordered(cases, 0, max_calls=whole.n_calls - missing)
+    assert whole.stop_reason is StopReason.TARGET_MET
+    assert cut.n_calls == whole.n_calls - missing
+    assert cut.stop_reason is StopReason.BUDGET_ENDED
+    assert Alarm.TARGET_NOT_REACHED in cut.alarms
+    assert cut.interval == whole.interval
+
+
 def test_with_an_order_too_a_surprise_voids_what_was_estimated(cases, monkeypatch):
     """A look that meets a crash, once: the target has to be met anew, by new rounds."""
     plain, looks = ordered(cases, 0), []
 
     def surprised(problem, belief, snapshot, rng):
-        labels, surprise = yield from surveying.survey(problem, belief, snapshot, rng)
+        labels, surprise, whole = yield from surveying.survey(problem, belief, snapshot, rng)
         looks.append(labels.n)
-        return labels, surprise or len(looks) == 1
+        return labels, surprise or len(looks) == 1, whole
 
     monkeypatch.setattr(sequential, "survey", surprised)
     got = ordered(cases, 0)
@@ -125,8 +137,8 @@ def test_surveys_come_to_an_end(cases, monkeypatch):
     """Every look a surprise: the campaign stops after so many, the target met."""
 
     def surprised(problem, belief, snapshot, rng):
-        labels, _ = yield from surveying.survey(problem, belief, snapshot, rng)
-        return labels, True
+        labels, _, whole = yield from surveying.survey(problem, belief, snapshot, rng)
+        return labels, True, whole
 
     monkeypatch.setattr(sequential, "survey", surprised)
     monkeypatch.setattr(sequential, "MAX_SURVEYS", 2)

@@ -98,7 +98,8 @@ def sequential(problem: Problem) -> Learner:
             state = replace(state, labels=labels, encounters=seen)
             snapshot = _snapshot(problem, state, view)
         state = _directed(problem, state, snapshot)
-        if snapshot.stop_reason is not StopReason.RUNNING and not state.members:
+        reached = snapshot.stop_reason is not StopReason.RUNNING
+        if reached and state.surveyed and not state.members:
             break
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     else:
@@ -114,11 +115,11 @@ def _survey(
     """Look at the emptiest places; what was estimated is void where a crash comes as a surprise."""
     rng = problem.rng(SURVEYS + 1 + state.n_surveys)
     running = replace(snapshot, stop_reason=StopReason.RUNNING)
-    labels, surprise = yield from survey(problem, _belief(state), running, rng)
+    labels, surprise, whole = yield from survey(problem, _belief(state), running, rng)
     done = state.n_surveys + 1
     if surprise:
         state = replace(state, rounds=(), model=state.model.forgetting())
-    surveyed = not surprise or done == MAX_SURVEYS
+    surveyed = whole and (not surprise or done == MAX_SURVEYS)
     return replace(state, labels=labels, n_surveys=done, surveyed=surveyed)
 
 

@@ -32,7 +32,7 @@ SURPRISE = 0.5  # a crash less likely than this was not expected
 # SURE; none where all such places have less than the share LITTLE of the estimate.
 N_EACH, SURE, LITTLE = 2, 0.01, 0.05
 
-Surveying = Generator[Query, FloatArray, tuple[Labels, bool]]
+Surveying = Generator[Query, FloatArray, tuple[Labels, bool, bool]]
 
 
 def first_survey(
@@ -46,7 +46,16 @@ def first_survey(
 def survey(
     problem: Problem, belief: Belief, snapshot: Snapshot, rng: np.random.Generator
 ) -> Surveying:
-    """Look again; the labels, and whether a crash was met where none was believed."""
+    """Look again.
+
+    Returns
+    -------
+    Labels
+    bool
+        Whether a crash was met where none was believed.
+    bool
+        Whether the budget let it look everywhere.
+    """
     labels = belief.labels
     if belief.ordered:
         x = _silent(problem, belief, snapshot.probability, rng)
@@ -56,7 +65,7 @@ def survey(
     before = labels.n
     labels = yield from ask(problem, labels, x, snapshot)
     met = labels.y[before:] == 1
-    return labels, bool((met & sure[: len(met)]).any())
+    return labels, bool((met & sure[: len(met)]).any()), len(met) == len(x)
 
 
 def _silent(
