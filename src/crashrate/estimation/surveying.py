@@ -78,9 +78,8 @@ def _silent(
     labels = belief.labels
     pool = _wide(problem, labels, rng)
     near = reachable(pool, likeliest(problem, labels))
-    decided = np.logical_or(*labels.presumed(pool.u[near]))
-    sure = belief.see(pool.x[near]).surrogate_h < SURE
-    rows = near[sure & ~decided]
+    open_ = near[~np.logical_or(*labels.presumed(pool.u[near]))]
+    rows = open_[belief.see(pool.x[open_]).surrogate_h < SURE]
     if pool.weights[rows].sum() <= LITTLE * probability:
         return pool.x[:0]
     n = N_EACH * pool.u.shape[1]
