@@ -92,6 +92,19 @@ def test_contradictory_and_repeated_labels_keep_everything_finite():
     assert got.predict(np.array([[0.0, 0.0]])).probability[0] == pytest.approx(0.5, abs=0.1)
 
 
+@pytest.mark.parametrize("scales", [10.0, 1e3])
+@pytest.mark.filterwarnings("error")
+def test_a_crash_far_against_the_prior_keeps_everything_finite(scales):
+    # steep kernels that are tried and rejected hold such a crash to be safe beyond all doubt
+    u = np.array([[-scales, -scales], [0.0, 0.0], [0.5, 0.5], [0.01, 0.0]])
+    crash = np.array([True, False, True, False])
+    fit = fit_surrogate(u, crash, replace(SHARP, slope=1e3))
+    seen = fit.predict(u)
+    assert np.isfinite([seen.danger, seen.probability]).all()
+    assert fit.log_score < -1e3
+    assert ((seen.probability > 0.5) == crash).all()
+
+
 def test_danger_grows_with_the_prior_slope():
     u = np.array([[1.0, 1.0], [-1.0, -1.0]])
     line = np.linspace(-3, 3, 25)[:, None] * np.ones(2)

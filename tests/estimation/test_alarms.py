@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from crashrate.crash_set.order import RiskOrder
-from crashrate.estimation import sequential
 from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.answer import doubts
 from crashrate.estimation.campaign import _alarms
 from crashrate.estimation.consequence import Consequence
+from crashrate.estimation.hits import Hits
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import Round, combine
+from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
 
 CALM = [
@@ -25,6 +27,7 @@ CALM = [
         n_draws=10,
         squares=1e-8,
         largest=1e-5,
+        hits=Hits(n=1, reach=1e3),
     )
     for e in (-1e-4, 1e-4, -1e-4, 1e-4)
 ]
@@ -39,11 +42,16 @@ def problem(cases):
 
 def raised(problem, rounds=CALM, bounds=BOUNDS, labels=None, *, dropped=False):
     labels = Labels.empty(problem) if labels is None else labels
-    state = sequential.State(
-        labels, np.empty((0, 2)), problem.traffic, None, dropped_at=5 if dropped else None
+    state = State(
+        labels,
+        np.empty((0, 2)),
+        problem.traffic,
+        None,
+        rounds=tuple(rounds),
+        dropped_at=5 if dropped else None,
     )
     combined = combine(rounds, 0.95) if rounds else None
-    return sequential._alarms(problem, state, combined, bounds)
+    return doubts(problem, state, combined, bounds)
 
 
 def test_no_alarm_without_reason(problem):
@@ -59,6 +67,13 @@ def test_weights_concentrated(problem):
 def test_scatter_beyond_prediction(problem):
     rounds = [replace(r, estimate=1e-3 + 3 * (r.estimate - 1e-3)) for r in CALM]
     assert raised(problem, rounds) == (Alarm.SCATTER_BEYOND_PREDICTION,)
+
+
+def test_too_few_hits(problem):
+    none = [replace(r, hits=Hits(reach=1e2)) for r in CALM]
+    assert raised(problem, none) == (Alarm.TOO_FEW_CRASHES,)
+    far_reaching = [replace(r, hits=Hits(reach=1e6)) for r in CALM]
+    assert raised(problem, far_reaching) == ()
 
 
 def test_undecided_mass_large(problem):

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from crashrate.crash_set.order import RiskOrder
-from crashrate.estimation.exploration import MAX_INFLATIONS, danger, explore, inflated
+from crashrate.estimation.exploration import (
+    MAX_INFLATIONS,
+    RUNS_PER_LINE,
+    danger,
+    explore,
+    inflated,
+)
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
 from crashrate.traffic.model import TrafficModel
@@ -80,6 +86,28 @@ def test_an_order_whose_most_dangerous_situations_are_safe_is_dropped(cases, dri
     found, queries = drive(explore(problem_of(case, risk=down, max_calls=60), 2), case.crash)
     assert found.labels.learned is None
     assert len(queries) > MAX_INFLATIONS
+
+
+def test_a_sliver_in_a_corner_is_found_and_its_edges_along_every_variable(drive):
+    # "c" has no bound: the corner lies where all draws of inflated traffic end
+    traffic = TrafficModel(
+        [1.0], np.zeros((1, 3)), np.eye(3)[None], [-9.0] * 3, [3.0, 2.0, np.inf], ("a", "b", "c")
+    )
+    edges = np.array([2.99, 1.5, 12.0])
+    problem = Problem(
+        traffic=traffic,
+        order=RiskOrder.from_mapping(dict.fromkeys("abc", "increasing"), traffic.names),
+    )
+    found, _ = drive(explore(problem, 2), lambda x: (x >= edges).all(axis=1))
+    assert found.found
+    assert found.labels.n <= MAX_INFLATIONS + 1 + 5 * RUNS_PER_LINE + 60
+    crashes, safe = found.labels.crashes, found.labels.x[found.labels.y == 0]
+    for i, edge in enumerate(edges):
+        others = np.delete(np.arange(3), i)
+        along = safe[(safe[:, others] >= edges[others]).all(axis=1)]
+        assert len(along)
+        assert (along[:, i] < edge).all()
+    assert (crashes.min(axis=0) < np.array([3.01, 1.7, 24.0])).all()
 
 
 @pytest.mark.parametrize("max_calls", [1, 2, 5, 9, 14])

@@ -178,7 +178,7 @@ def test_an_unlucky_encounter_is_outvoted_by_more_of_them(cases, check_coverage,
     assert all(g.stop_reason is StopReason.TARGET_MET for g in got)
     assert all(Alarm.ENCOUNTERS_DISAGREE not in g.alarms for g in got)
     check_coverage([g.interval for g in got], 2e-4)
-    monkeypatch.setattr(sequential, "_outvoted", lambda *_: False)
+    monkeypatch.setattr(sequential, "outvoted", lambda *_: False)
     stuck = found(cases, seeds[0], rarely, max_calls=got[0].n_calls)
     assert Alarm.ENCOUNTERS_DISAGREE in stuck.alarms
     assert stuck.interval[1] > 0.05

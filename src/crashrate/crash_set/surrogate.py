@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import log_ndtr, ndtr
+from scipy.special import erfcx, log_ndtr, ndtr
 
 from crashrate.variables import BoolArray, FloatArray
 
@@ -271,9 +271,9 @@ def _matched(mean: FloatArray, variance: FloatArray, signs: FloatArray) -> tuple
     """
     scale = np.sqrt(1 + variance)
     z = signs * mean / scale
-    ratio = np.exp(-0.5 * z * z - log_ndtr(z)) / math.sqrt(2 * math.pi)
+    ratio = math.sqrt(2 / math.pi) / erfcx(-z / math.sqrt(2))
     tilted_mean = mean + signs * variance * ratio / scale
-    shrink = variance**2 * ratio * (z + ratio) / (1 + variance)
+    shrink = variance**2 * np.clip(ratio * (z + ratio), 0.0, 1.0) / (1 + variance)
     tilted_variance = np.maximum(variance - shrink, MIN_VARIANCE)
     tau = np.maximum(1 / tilted_variance - 1 / variance, 1e-12)
     return z, Sites(tau, tilted_mean / tilted_variance - mean / variance)

@@ -16,8 +16,8 @@ class Alarm(StrEnum):
         "takes the columns in their order and units"
     )
     TOO_FEW_CRASHES = (
-        "the estimate rests on fewer than ten simulated crashes: the interval's normal "
-        "approximation is not to be trusted"
+        "the estimate rests on fewer than ten simulated crashes, or on fewer than three among the "
+        "runs drawn to estimate it: the interval's normal approximation is not to be trusted"
     )
     WEIGHTS_CONCENTRATED = (
         "one simulator run moves the estimate by more than a quarter: the next run may move it "

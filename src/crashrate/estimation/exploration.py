@@ -142,20 +142,26 @@ def _inflate(
             return (yield from _descend(problem, labels, pool)), wide, pool
     # no draw lies in a corner of the box; where danger grows towards it, it is the place to look
     x = pool.x[worst]
-    corner = _to_bounds(problem, labels, x)
+    corner = _to_bounds(problem, labels, x, pool)
     if not np.array_equal(corner, x):
         labels = yield from ask(problem, labels, corner[None])
     if (labels.y == 1).any():
-        labels = yield from _search_line(problem, labels, x, corner)
+        labels = yield from _search_axes(problem, labels, problem.traffic.sample(1, rng)[0])
     return labels, wide, pool
 
 
-def _to_bounds(problem: Problem, labels: Labels, x: FloatArray) -> FloatArray:
-    """`x` (d,) moved to bounds of the box, one after another, where it is no less dangerous."""
-    for i, bounds in enumerate(zip(problem.traffic.lower, problem.traffic.upper, strict=True)):
+def _to_bounds(problem: Problem, labels: Labels, x: FloatArray, pool: Pool) -> FloatArray:
+    """`x` (d,) moved to bounds of the box, one after another, where it is no less dangerous.
+
+    Where the box has none, as far as the pool reaches.
+    """
+    box = problem.traffic.lower, problem.traffic.upper
+    reached = pool.x.min(axis=0), pool.x.max(axis=0)
+    ends = (np.where(np.isfinite(b), b, r) for b, r in zip(box, reached, strict=True))
+    for i, bounds in enumerate(zip(*ends, strict=True)):
         for bound in bounds:
             moved = np.where(np.arange(len(x)) == i, bound, x)
-            if np.isfinite(bound) and _dominates(moved, x, labels):
+            if _dominates(moved, x, labels):
                 x = moved
     return x
 
@@ -207,6 +213,20 @@ def _search_lines(problem: Problem, labels: Labels, ordinary: FloatArray) -> Ask
         density = problem.traffic.log_density(labels.crashes)
         crash_end = labels.crashes[int(np.argmax(density))]
         labels = yield from _search_line(problem, labels, safe_end, crash_end)
+    return labels
+
+
+def _search_axes(problem: Problem, labels: Labels, ordinary: FloatArray) -> Asking:
+    """Bisect from the likeliest crash towards an ordinary draw (d,), one variable after another.
+
+    A line towards it leaves a narrow corner at once, by the variable that it is narrowest in, and
+    tells nothing of the others.
+    """
+    for i in range(len(ordinary)):
+        density = problem.traffic.log_density(labels.crashes)
+        crash = labels.crashes[int(np.argmax(density))]
+        start = np.where(np.arange(len(crash)) == i, ordinary, crash)
+        labels = yield from _search_line(problem, labels, start, crash)
     return labels
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtrit
 
+from crashrate.estimation.hits import NONE, Hits, count
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.view import View
@@ -84,6 +85,7 @@ class Round:
         The same under the traffic model's members; None where it has none.
     consequences : tuple of Carried
         What the same draws say of the event's consequences.
+    hits : Hits
     """
 
     n_runs: int
@@ -97,12 +99,14 @@ class Round:
     largest: float
     members: Sums | None = None
     consequences: tuple["Carried", ...] = ()
+    hits: Hits = NONE
 
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation."""
     found, moved = corrected(view, view.h, view.spread, drawn, outcomes)
-    return replace(found, members=_under_members(view, drawn, moved))
+    members = _under_members(view, drawn, moved)
+    return replace(found, members=members, hits=count(view, drawn, outcomes))
 
 
 def corrected(

@@ -12,14 +12,14 @@ import numpy as np
 
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import aim
-from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
+from crashrate.estimation.alarms import StopReason
+from crashrate.estimation.answer import answer, doubts, outvoted
 from crashrate.estimation.belief import Belief
-from crashrate.estimation.carried import carry, together
-from crashrate.estimation.consequence import Consequence
+from crashrate.estimation.carried import carry
 from crashrate.estimation.consequences import expect
 from crashrate.estimation.crude import crude
 from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
-from crashrate.estimation.encounters import Encounters, interval, meet
+from crashrate.estimation.encounters import Encounters, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.following import look_closer
@@ -28,13 +28,8 @@ from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import ask, vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import (
-    MIN_ROUNDS,
-    Combined,
     Round,
-    combine,
-    log_efficiency,
     measure,
-    not_refuted,
 )
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
 from crashrate.estimation.sizing import (
@@ -59,7 +54,6 @@ N_LINES = 2  # two more than variables taught less of the edge than the rounds t
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
-SCATTER_LIMIT = 3.0
 Learner = Generator[Query, FloatArray, Snapshot]
 
 
@@ -72,7 +66,7 @@ def sequential(problem: Problem) -> Learner:
             return found
         explored = replace(explored, labels=found, ordinary=explored.ordinary[:0])
     state = _begin(problem, explored)
-    alarms = _alarms(problem, state, None, (0.0, 1.0))
+    alarms = doubts(problem, state, None, (0.0, 1.0))
     snapshot = Snapshot(learned=state.labels.learned, alarms=alarms)
     while state.labels.n < problem.max_calls:
         if not state.ordered and state.encounters is None:
@@ -85,18 +79,18 @@ def sequential(problem: Problem) -> Learner:
         rng = problem.rng(FOLLOWING + state.k)
         closer = yield from look_closer(problem, state, view, snapshot, rng)
         state = state if closer is state else _distrust(closer, view)
-        snapshot = _snapshot(problem, state, view)
+        snapshot = answer(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING and not state.surveyed:
             state = yield from _survey(problem, state, snapshot)
-            snapshot = _snapshot(problem, state, view)
-        if _outvoted(problem, state):
+            snapshot = answer(problem, state, view)
+        if outvoted(problem, state):
             # one crash among thirty encounters may be bad luck, or what the surrogate never saw:
             # more encounters tell, more rounds do not
             rng = problem.rng(MORE + state.k)
             labels, met = yield from meet(problem, state.labels, rng, snapshot)
             seen = (state.encounters or Encounters()) + met
             state = replace(state, labels=labels, encounters=seen)
-            snapshot = _snapshot(problem, state, view)
+            snapshot = answer(problem, state, view)
         state = _directed(problem, state, snapshot)
         reached = snapshot.stop_reason is not StopReason.RUNNING
         if reached and state.surveyed and not state.members:
@@ -121,15 +115,6 @@ def _survey(
         state = replace(state, rounds=(), model=state.model.forgetting())
     surveyed = whole and (not surprise or done == MAX_SURVEYS)
     return replace(state, labels=labels, n_surveys=done, surveyed=surveyed)
-
-
-def _outvoted(problem: Problem, state: State) -> bool:
-    """Whether the encounters alone keep the rounds' estimate from its target."""
-    if state.encounters is None or len(state.rounds) < MIN_ROUNDS:
-        return False
-    c = combine(state.rounds, problem.confidence, state.least_inflation)
-    narrow = _narrow(problem, state, *_target(problem, state, c, (c.lower, c.upper)))
-    return narrow and state.encounters.speak_against(c.upper)
 
 
 def _belief(state: State) -> Belief:
@@ -286,112 +271,3 @@ def _distrust(state: State, view: View) -> State:
     if len(state.ordinary) and not ordinary_is_safe(view.probability):
         return replace(state, ordinary=state.ordinary[:0], model=state.model.forgetting())
     return state
-
-
-def _snapshot(problem: Problem, state: State, view: View) -> Snapshot:
-    bounds = view.bounds() if state.ordered else (0.0, 1.0)
-    start = Snapshot(learned=state.labels.learned, bounds=bounds, phase="learn")
-    rounds = state.rounds
-    if state.learning:  # what is learned after rounds were estimated may refute them
-        rounds = tuple(not_refuted(rounds, view.probability))
-    if not rounds:
-        e = state.encounters or Encounters()
-        seen = interval(e.n_crashes, e.n, problem.confidence)
-        return replace(start, interval=seen, alarms=_alarms(problem, state, None, bounds))
-    state = replace(state, rounds=rounds)
-    c = combine(rounds, problem.confidence, state.least_inflation)
-    n_runs = sum(r.n_runs for r in rounds)
-    around = _interval(problem, state, c)
-    return replace(
-        start,
-        probability=c.estimate,
-        interval=around,
-        standard_error=c.standard_error,
-        n_eff=(c.estimate / c.standard_error) ** 2,
-        largest_weight_share=c.largest_share,
-        log_efficiency=log_efficiency(c, n_runs),
-        traffic_range=c.members,
-        consequences=_consequences(problem, state, c, around),
-        alarms=_alarms(problem, state, c, bounds),
-        phase="estimate",
-        stop_reason=_stop(problem, state, c),
-    )
-
-
-def _consequences(
-    problem: Problem, state: State, c: Combined, event: tuple[float, float]
-) -> tuple[Consequence, ...]:
-    """Each consequence, where `c` and the interval `event` are found for the event."""
-    found = tuple(
-        together(
-            name,
-            [r.consequences[k] for r in state.rounds],
-            int(np.count_nonzero(state.labels.z[:, k] > 0)),
-            event,
-            problem.confidence,
-            least=state.least_inflation,
-            aimed=name == problem.aim,
-        )
-        for k, name in enumerate(problem.consequences)
-    )
-    if event[1] <= c.upper:
-        return found
-    # random encounters speak against the event's probability, and say no more of consequences
-    return tuple(replace(f, interval=(f.interval[0], event[1])) for f in found)
-
-
-def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float]:
-    e = state.encounters
-    if e is None or not e.speak_against(c.upper):
-        return c.lower, c.upper
-    return c.lower, max(c.upper, interval(e.n_crashes, e.n, problem.confidence)[1])
-
-
-def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
-    aimed = _target(problem, state, c, _interval(problem, state, c))
-    if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, *aimed):
-        return StopReason.TARGET_MET
-    return StopReason.RUNNING
-
-
-def _target(
-    problem: Problem, state: State, c: Combined, event: tuple[float, float]
-) -> tuple[float, tuple[float, float]]:
-    """The estimate that is aimed at and the interval around it: the event's, or a consequence's."""
-    if (k := problem.aim_index) is None:
-        return c.estimate, event
-    aimed = _consequences(problem, state, c, event)[k]
-    return aimed.mean, aimed.interval
-
-
-def _narrow(problem: Problem, state: State, estimate: float, around: tuple[float, float]) -> bool:
-    """Whether an interval around the estimate meets the target in force."""
-    half = (around[1] - around[0]) / 2
-    return bool(estimate > 0 and half <= problem.target_at(state.labels.n) * estimate)
-
-
-def _alarms(
-    problem: Problem, state: State, c: Combined | None, bounds: tuple[float, float]
-) -> tuple[Alarm, ...]:
-    raised = {
-        Alarm.ORDER_DROPPED: state.dropped_at is not None,
-        Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
-        Alarm.NO_ORDER: problem.order is None or not state.ordered,
-        Alarm.ENCOUNTERS_DISAGREE: (
-            c is not None
-            and state.encounters is not None
-            and state.encounters.speak_against(c.upper)
-        ),
-        Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
-        Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
-        Alarm.TRAFFIC_UNDETERMINED: (
-            c is not None and c.members is not None and c.members.undetermined
-        ),
-        Alarm.MEMBERS_UNDETERMINED: (
-            c is not None and c.members is not None and c.members.n_undetermined > 0
-        ),
-        Alarm.UNDECIDED_MASS_LARGE: (
-            c is not None and state.ordered and bounds[1] > UNDECIDED_LIMIT * c.estimate
-        ),
-    }
-    return tuple(alarm for alarm, is_raised in raised.items() if is_raised)

@@ -1,0 +1,153 @@
+"""The answer: the estimate that the rounds so far add up to, its interval, its alarms.
+
+The rounds' own interval is widened where something else says that it must be: random encounters,
+or too few hits.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
+from crashrate.estimation.carried import together
+from crashrate.estimation.consequence import Consequence
+from crashrate.estimation.encounters import Encounters, interval
+from crashrate.estimation.hits import upper_end
+from crashrate.estimation.rounds import (
+    MIN_ROUNDS,
+    Combined,
+    combine,
+    log_efficiency,
+    not_refuted,
+)
+from crashrate.estimation.state import State
+from crashrate.estimation.strategy import Problem, Snapshot
+from crashrate.estimation.view import View
+
+SCATTER_LIMIT = 3.0
+
+
+def answer(problem: Problem, state: State, view: View) -> Snapshot:
+    """What the outcomes so far say; `view` is of the last pool."""
+    bounds = view.bounds() if state.ordered else (0.0, 1.0)
+    start = Snapshot(learned=state.labels.learned, bounds=bounds, phase="learn")
+    rounds = state.rounds
+    if state.learning:  # what is learned after rounds were estimated may refute them
+        rounds = tuple(not_refuted(rounds, view.probability))
+    if not rounds:
+        e = state.encounters or Encounters()
+        seen = interval(e.n_crashes, e.n, problem.confidence)
+        return replace(start, interval=seen, alarms=doubts(problem, state, None, bounds))
+    state = replace(state, rounds=rounds)
+    c = combine(rounds, problem.confidence, state.least_inflation)
+    n_runs = sum(r.n_runs for r in rounds)
+    around = _interval(problem, state, c)
+    return replace(
+        start,
+        probability=c.estimate,
+        interval=around,
+        standard_error=c.standard_error,
+        n_eff=(c.estimate / c.standard_error) ** 2,
+        largest_weight_share=c.largest_share,
+        log_efficiency=log_efficiency(c, n_runs),
+        traffic_range=c.members,
+        consequences=_consequences(problem, state, c, around),
+        alarms=doubts(problem, state, c, bounds),
+        phase="estimate",
+        stop_reason=_stop(problem, state, c),
+    )
+
+
+def _consequences(
+    problem: Problem, state: State, c: Combined, event: tuple[float, float]
+) -> tuple[Consequence, ...]:
+    """Each consequence, where `c` and the interval `event` are found for the event."""
+    found = tuple(
+        together(
+            name,
+            [r.consequences[k] for r in state.rounds],
+            int(np.count_nonzero(state.labels.z[:, k] > 0)),
+            event,
+            problem.confidence,
+            least=state.least_inflation,
+            aimed=name == problem.aim,
+        )
+        for k, name in enumerate(problem.consequences)
+    )
+    if event[1] <= c.upper:
+        return found
+    # what widens the event's interval says no more of consequences
+    return tuple(replace(f, interval=(f.interval[0], event[1])) for f in found)
+
+
+def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float]:
+    upper = max(c.upper, _unhit(problem, state))
+    e = state.encounters
+    if e is not None and e.speak_against(c.upper):
+        upper = max(upper, interval(e.n_crashes, e.n, problem.confidence)[1])
+    return c.lower, upper
+
+
+def _unhit(problem: Problem, state: State) -> float:
+    return upper_end([r.hits for r in state.rounds], problem.confidence)
+
+
+def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
+    aimed = _target(problem, state, c, _interval(problem, state, c))
+    if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, *aimed):
+        return StopReason.TARGET_MET
+    return StopReason.RUNNING
+
+
+def _target(
+    problem: Problem, state: State, c: Combined, event: tuple[float, float]
+) -> tuple[float, tuple[float, float]]:
+    """The estimate that is aimed at and the interval around it: the event's, or a consequence's."""
+    if (k := problem.aim_index) is None:
+        return c.estimate, event
+    aimed = _consequences(problem, state, c, event)[k]
+    return aimed.mean, aimed.interval
+
+
+def _narrow(problem: Problem, state: State, estimate: float, around: tuple[float, float]) -> bool:
+    """Whether an interval around the estimate meets the target in force."""
+    half = (around[1] - around[0]) / 2
+    return bool(estimate > 0 and half <= problem.target_at(state.labels.n) * estimate)
+
+
+def doubts(
+    problem: Problem, state: State, c: Combined | None, bounds: tuple[float, float]
+) -> tuple[Alarm, ...]:
+    """Alarms on the rounds' estimate, if there is one, and on what it rests on."""
+    raised = {
+        Alarm.ORDER_DROPPED: state.dropped_at is not None,
+        Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
+        Alarm.NO_ORDER: problem.order is None or not state.ordered,
+        Alarm.ENCOUNTERS_DISAGREE: (
+            c is not None
+            and state.encounters is not None
+            and state.encounters.speak_against(c.upper)
+        ),
+        Alarm.TOO_FEW_CRASHES: c is not None and _unhit(problem, state) > c.upper,
+        Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
+        Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
+        Alarm.TRAFFIC_UNDETERMINED: (
+            c is not None and c.members is not None and c.members.undetermined
+        ),
+        Alarm.MEMBERS_UNDETERMINED: (
+            c is not None and c.members is not None and c.members.n_undetermined > 0
+        ),
+        Alarm.UNDECIDED_MASS_LARGE: (
+            c is not None and state.ordered and bounds[1] > UNDECIDED_LIMIT * c.estimate
+        ),
+    }
+    return tuple(alarm for alarm, is_raised in raised.items() if is_raised)
+
+
+def outvoted(problem: Problem, state: State) -> bool:
+    """Whether the encounters alone keep the rounds' estimate from its target."""
+    if state.encounters is None or len(state.rounds) < MIN_ROUNDS:
+        return False
+    c = combine(state.rounds, problem.confidence, state.least_inflation)
+    narrow = _narrow(problem, state, *_target(problem, state, c, (c.lower, c.upper)))
+    return narrow and state.encounters.speak_against(c.upper)
