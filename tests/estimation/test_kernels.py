@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from crashrate.crash_set.order import RiskOrder
 from crashrate.crash_set.surrogate import Prior, fit_surrogate
 from crashrate.estimation import kernels, telling
-from crashrate.estimation.kernels import ADDITIVE, KERNELS, SOFT, Kernel, Model
+from crashrate.estimation.kernels import ADDITIVE, KERNELS, N_RIVALS, SOFT, Kernel, Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import FAR, Standardiser
@@ -127,3 +127,14 @@ def test_inference_that_oscillates_is_no_candidate_where_soft_kernels_are():
     better, worse = fit(-10.0, converged=False), fit(-20.0, converged=True)
     assert kernels._merit(better, soft=True) < kernels._merit(worse, soft=True)
     assert kernels._merit(better, soft=False) > kernels._merit(worse, soft=False)
+
+
+def test_rivals_have_other_shapes_the_best_first(cases):
+    labels = labelled(cases, 60, smooth)
+    surrogate, model = Model(AS_IS).fit(labels, NONE, directed=True)
+    rivals = model.rivals(labels, NONE, directed=True)
+    assert len(rivals) == N_RIVALS
+    assert rivals[0].log_score >= rivals[1].log_score
+    shapes = {(r.prior.bump, r.prior.length, r.prior.additive) for r in (surrogate, *rivals)}
+    assert len(shapes) == 1 + N_RIVALS
+    assert rivals[0].log_score <= surrogate.log_score

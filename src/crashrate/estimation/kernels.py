@@ -1,6 +1,7 @@
 """The surrogate's kernel: chosen anew while outcomes are few, and as their number grows."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
@@ -13,6 +14,8 @@ from crashrate.estimation.telling import fit_telling
 from crashrate.estimation.view import Standardiser
 from crashrate.variables import FloatArray
 
+Shape = tuple[float, float, bool]
+
 
 class Kernel(NamedTuple):
     """A `Prior`'s bump, its length in three coordinates (in one, if additive), its variance."""
@@ -21,6 +24,11 @@ class Kernel(NamedTuple):
     length: float
     variance: float
     additive: bool = False
+
+    @property
+    def shape(self) -> "Shape":
+        """All but the variance."""
+        return self.bump, self.length, self.additive
 
 
 SHAPES = ((0.1, 3.0), (0.5, 2.0), (1.0, 1.0), (3.0, 1.0))
@@ -33,6 +41,7 @@ LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
 # … and soft ones, where equal situations may end differently: how likely a crash is falls off along
 # a plane, and nothing is certain far away
 SOFT = tuple(Kernel(0.1, 3.0, variance) for variance in (10.0, 100.0))
+N_RIVALS = 2
 REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
 
 
@@ -69,25 +78,51 @@ class Model:
         `ordinary` (n, m) counts as safe; `directed`: danger grows along the coordinates; `again`:
         the kernel is chosen anew however few labels came since.
         """
-        known = labels.known
-        u = self.standardise(np.concatenate([ordinary, labels.u[known]]))
-        crash = np.concatenate([np.zeros(len(ordinary), bool), labels.y[known] == 1])
         grown = labels.n >= REFIT_GROWTH * self.n_chosen
         choose = again or grown or labels.n < REFIT_ALWAYS
-        warm, d = dict(self.warm), labels.u.shape[1]
-        fits = {
+        kernels = self._candidates(labels, directed=directed) if choose else (self.best,)
+        fits = self._fits(labels, ordinary, kernels, directed=directed)
+        best = max(fits, key=lambda kernel: _merit(fits[kernel][0], soft=SOFT[0] in fits))
+        warm = dict(self.warm) | {kernel: sites for kernel, (_, sites) in fits.items()}
+        n_chosen = labels.n if choose else self.n_chosen
+        return fits[best][0], replace(self, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
+
+    def rivals(
+        self, labels: Labels, ordinary: FloatArray, *, directed: bool
+    ) -> tuple[Surrogate, ...]:
+        """The best surrogates by kernels of other shapes than the one in use, the best first."""
+        kernels = [
+            kernel
+            for kernel in self._candidates(labels, directed=directed)
+            if kernel.shape != self.best.shape
+        ]
+        fits = self._fits(labels, ordinary, kernels, directed=directed)
+        best: dict[Shape, Surrogate] = {}
+        for kernel, (fit, _) in fits.items():
+            other = best.setdefault(kernel.shape, fit)
+            best[kernel.shape] = max(fit, other, key=lambda f: f.log_score)
+        return tuple(sorted(best.values(), key=lambda f: -f.log_score)[:N_RIVALS])
+
+    def _fits(
+        self,
+        labels: Labels,
+        ordinary: FloatArray,
+        kernels: Sequence[Kernel],
+        *,
+        directed: bool,
+    ) -> dict[Kernel, tuple[Surrogate, Sites]]:
+        known, warm, d = labels.known, dict(self.warm), labels.u.shape[1]
+        u = self.standardise(np.concatenate([ordinary, labels.u[known]]))
+        crash = np.concatenate([np.zeros(len(ordinary), bool), labels.y[known] == 1])
+        return {
             kernel: fit_telling(
                 u,
                 crash,
                 _prior(kernel, d, directed=directed),
                 warm.get(kernel, Sites.unknown(0)).grown(len(u)),
             )
-            for kernel in (self._candidates(labels, directed=directed) if choose else (self.best,))
+            for kernel in kernels
         }
-        best = max(fits, key=lambda kernel: _merit(fits[kernel][0], soft=SOFT[0] in fits))
-        warm |= {kernel: sites for kernel, (_, sites) in fits.items()}
-        n_chosen = labels.n if choose else self.n_chosen
-        return fits[best][0], replace(self, best=best, n_chosen=n_chosen, warm=tuple(warm.items()))
 
     def _candidates(self, labels: Labels, *, directed: bool) -> tuple[Kernel, ...]:
         """Sharp kernels, and soft ones, which learn slowly, where outcomes deny an order deeply."""

@@ -109,7 +109,13 @@ def _survey(
     """Look at the emptiest places; what was estimated is void where a crash comes as a surprise."""
     rng = problem.rng(SURVEYS + 1 + state.n_surveys)
     running = replace(snapshot, stop_reason=StopReason.RUNNING)
-    labels, surprise, whole = yield from survey(problem, _belief(state), running, rng)
+    surrogate, model = _fit(state)
+    belief = Belief(state.labels, surrogate, model.standardise, state.proposal)
+
+    def rivals() -> tuple[Surrogate, ...]:
+        return model.rivals(state.labels, state.ordinary, directed=state.directed)
+
+    labels, surprise, whole = yield from survey(problem, belief, rivals, running, rng)
     done = state.n_surveys + 1
     if surprise:
         state = replace(state, rounds=(), model=state.model.forgetting())

@@ -4,14 +4,17 @@ A surrogate takes what no run came near for safe. Its crash set grows from the f
 another, or a far end of the same, stays unseen, and half a probability with it. Before it is
 trusted, and again when the target is met, the emptiest places are looked at: a crash where the
 surrogate was sure of safety refutes what was estimated before. With a risk order only those are
-left to look at that no outcome decides, and once the target is met is early enough.
+left to look at that no outcome decides, and once the target is met is early enough; other kernels
+then say where else to look.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 
+from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.belief import Belief
+from crashrate.estimation.contesting import SURE, contested
 from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import (
@@ -28,10 +31,12 @@ from crashrate.variables import FloatArray
 N_FIRST, N_AGAIN = 20, 10
 MAX_SURVEYS = 6
 SURPRISE = 0.5  # a crash less likely than this was not expected
-# With an order: runs for each coordinate, where the surrogate holds a crash to be less likely than
-# SURE; none where all such places have less than the share LITTLE of the estimate.
-N_EACH, SURE, LITTLE = 2, 0.01, 0.05
+# With an order: runs for each coordinate (one in few coordinates), of those where the surrogate is
+# sure of safety; as many far from all others as where that is contested. None where all such places
+# have less than the share LITTLE of the estimate.
+N_EACH, FEW_COORDINATES, LITTLE = 2, 3, 0.05
 
+Rivals = Callable[[], Sequence[Surrogate]]  # called where they are needed: they have to be fitted
 Surveying = Generator[Query, FloatArray, tuple[Labels, bool, bool]]
 
 
@@ -44,9 +49,13 @@ def first_survey(
 
 
 def survey(
-    problem: Problem, belief: Belief, snapshot: Snapshot, rng: np.random.Generator
+    problem: Problem,
+    belief: Belief,
+    rivals: Rivals,
+    snapshot: Snapshot,
+    rng: np.random.Generator,
 ) -> Surveying:
-    """Look again.
+    """Look again; with an order also where `rivals` see crashes.
 
     Returns
     -------
@@ -58,7 +67,7 @@ def survey(
     """
     labels = belief.labels
     if belief.ordered:
-        x = _silent(problem, belief, snapshot.probability, rng)
+        x = _silent(problem, belief, rivals, snapshot.probability, rng)
     else:
         x = emptiest(problem, labels, N_AGAIN, rng)
     sure = belief.see(x).surrogate_h < SURPRISE
@@ -69,11 +78,16 @@ def survey(
 
 
 def _silent(
-    problem: Problem, belief: Belief, probability: float, rng: np.random.Generator
+    problem: Problem,
+    belief: Belief,
+    rivals: Rivals,
+    probability: float,
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """Situations (n, d) that no outcome decides and the surrogate is sure are safe, far from all.
+    """Situations (n, d) that no outcome decides and the surrogate is sure are safe.
 
-    None where all of those together would add next to nothing to the `probability`.
+    Far from all runs, and where a rival contests it. None where all of those together would add
+    next to nothing to the `probability`.
     """
     labels = belief.labels
     pool = _wide(problem, labels, rng)
@@ -82,8 +96,10 @@ def _silent(
     rows = open_[belief.see(pool.x[open_]).surrogate_h < SURE]
     if pool.weights[rows].sum() <= LITTLE * probability:
         return pool.x[:0]
-    n = N_EACH * pool.u.shape[1]
-    return np.asarray(pool.x[farthest(pool.u, labels.u, rows, n)])
+    m = pool.u.shape[1]
+    n = m if m <= FEW_COORDINATES else N_EACH * m
+    far = pool.x[farthest(pool.u, labels.u, rows, n)]
+    return np.concatenate([far, contested(problem, belief, rivals(), n, rng)])
 
 
 def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
