@@ -19,7 +19,6 @@ from crashrate.variables import FloatArray
 
 SURE = 0.01  # a crash held to be less likely than this is one that the surrogate is sure is none
 N_POOL = 20_000
-N_AIMS = 2  # pools whose successor is fitted to what is contested
 
 
 def contested(
@@ -38,10 +37,8 @@ def contested(
 def _draws(
     problem: Problem, belief: Belief, rival: Surrogate, n: int, rng: np.random.Generator
 ) -> FloatArray:
-    proposal = belief.proposal
-    for _ in range(N_AIMS):
-        view = _view(problem, belief, rival, proposal, rng)
-        proposal = aim(problem.traffic, (view,), rng, ordered=belief.ordered)
+    first = _view(problem, belief, rival, belief.proposal, rng)
+    proposal = aim(problem.traffic, (first,), rng, ordered=belief.ordered)
     view = _view(problem, belief, rival, proposal, rng)
     mass = view.weights * view.h
     if not mass.sum() > 0:
@@ -61,4 +58,4 @@ def _view(
     pool = draw_pool(proposal, problem.traffic, labels.coordinates, N_POOL, rng)
     view = see(pool, labels, rival, belief.standardise)
     sure = belief.see(pool.x).surrogate_h < SURE
-    return replace(view, h=np.where(sure & view.undecided, view.h, 0.0))
+    return replace(view, h=np.where(sure & view.undecided & (view.h >= SURE), view.h, 0.0))
