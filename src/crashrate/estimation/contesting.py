@@ -58,4 +58,5 @@ def _view(
     pool = draw_pool(proposal, problem.traffic, labels.coordinates, N_POOL, rng)
     view = see(pool, labels, rival, belief.standardise)
     sure = belief.see(pool.x).surrogate_h < SURE
-    return replace(view, h=np.where(sure & view.undecided & (view.h >= SURE), view.h, 0.0))
+    decided = np.logical_or(*labels.presumed(pool.u))  # whether or not the rival objects
+    return replace(view, h=np.where(sure & ~decided & (view.h >= SURE), view.h, 0.0))
