@@ -1,6 +1,7 @@
 """Bounds P(inner) ≤ p ≤ P(outer) without sampling, where they can be had in good time."""
 
 from crashrate.crash_set.bounds import probability_bounds
+from crashrate.errors import NumericalError
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
 
@@ -17,4 +18,7 @@ def exact_bounds(problem: Problem, labels: Labels) -> tuple[float, float] | None
         return None
     if problem.traffic.n_components > MAX_COMPONENTS:
         return None
-    return probability_bounds(labels.learned, problem.order, problem.traffic)
+    try:
+        return probability_bounds(labels.learned, problem.order, problem.traffic)
+    except NumericalError:  # variables so strongly correlated that a thin box does not settle
+        return None
