@@ -13,13 +13,7 @@ from crashrate.estimation.carried import together
 from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.encounters import Encounters, interval
 from crashrate.estimation.hits import upper_end
-from crashrate.estimation.rounds import (
-    MIN_ROUNDS,
-    Combined,
-    combine,
-    log_efficiency,
-    not_refuted,
-)
+from crashrate.estimation.rounds import MIN_ROUNDS, Combined, combine, log_efficiency, not_refuted
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
 from crashrate.estimation.view import View

@@ -27,10 +27,7 @@ from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import ask, vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
-from crashrate.estimation.rounds import (
-    Round,
-    measure,
-)
+from crashrate.estimation.rounds import Round, measure
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
 from crashrate.estimation.sizing import (
     AUDIT_EVERY,
