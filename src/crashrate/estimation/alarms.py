@@ -80,7 +80,8 @@ class Alarm(StrEnum):
     )
     UNDECIDED_MASS_LARGE = (
         "situations that no outcome decides carry more than fifty times the estimate: the bounds "
-        "are far apart"
+        "are far apart, and a crash region among them that no run came near is left out of the "
+        "estimate and its interval"
     )
     SIMULATIONS_FAILED = (
         "some simulations failed: the interval holds with each of those it rests on counted as a "
