@@ -110,6 +110,10 @@ def test_kernels_are_chosen_anew_where_labels_grew_or_it_is_asked_for(cases, mon
     assert stays.prior.variance == SOFT[0].variance
     assert again.prior == grown.prior
     assert again.prior.variance > stays.prior.variance
+    monkeypatch.setattr(kernels, "MANY", 60)  # of many labels: after longer growth
+    model = replace(model, n_chosen=50)
+    assert model.fit(labels, NONE, directed=True)[0].prior == stays.prior
+    assert replace(model, n_chosen=40).fit(labels, NONE, directed=True)[0].prior == again.prior
 
 
 @pytest.mark.parametrize("bump", [0.1, 3.0])

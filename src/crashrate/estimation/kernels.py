@@ -42,7 +42,9 @@ LINEAR, FAR_SAFE = 0.01, -5.0  # without an order
 # a plane, and nothing is certain far away
 SOFT = tuple(Kernel(0.1, 3.0, variance) for variance in (10.0, 100.0))
 N_RIVALS = 2
-REFIT_ALWAYS, REFIT_GROWTH = 120, 1.15  # choose among all kernels below, and on growth, of labels
+# Choose among all kernels below so many labels, and whenever they have grown so far; of MANY each
+# fit takes seconds, and they hardly change the choice.
+REFIT_ALWAYS, REFIT_GROWTH, MANY, GROWTH_OF_MANY = 120, 1.15, 700, 1.5
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,8 @@ class Model:
         `ordinary` (n, m) counts as safe; `directed`: danger grows along the coordinates; `again`:
         the kernel is chosen anew however few labels came since.
         """
-        grown = labels.n >= REFIT_GROWTH * self.n_chosen
+        growth = REFIT_GROWTH if labels.n < MANY else GROWTH_OF_MANY
+        grown = labels.n >= growth * self.n_chosen
         choose = again or grown or labels.n < REFIT_ALWAYS
         kernels = self._candidates(labels, directed=directed) if choose else (self.best,)
         fits = self._fits(labels, ordinary, kernels, directed=directed)
