@@ -103,6 +103,12 @@ def test_progress_follows_what_is_aimed_at():
         assert shown == f"80 of at most 2,000 runs, estimate: {says} (target ± 10 %)"
 
 
+def test_progress_names_the_ends_of_an_interval_wider_than_its_estimate():
+    snapshot = Snapshot(probability=1e-6, interval=(0.0, 0.031), phase="estimate")
+    shown = standing(under_way(snapshot=snapshot))
+    assert "P = 1.00e-06 in [0.0e+00, 3.1e-02] (target ± 10 %)" in shown
+
+
 def test_progress_says_which_runs_were_stored():
     assert standing(under_way(), 120) == "80 of at most 2,000 runs (of 120 stored), explore"
     assert standing(under_way(), 70) == "80 of at most 2,000 runs, explore"

@@ -194,4 +194,6 @@ def standing(campaign: "Campaign", n_stored: int = 0) -> str:
         return text
     low, high = snapshot.interval if aimed is None else aimed.interval
     relative, name = (high - low) / 2 / number, "P" if aimed is None else f"E({aimed.name})"
-    return f"{text}: {name} = {number:.2e} ± {100 * relative:.3g} % {target}"
+    # upper ends far above the estimate stand for little seen so far: a percentage says less
+    around = f"± {100 * relative:.3g} %" if relative <= 1 else f"in [{low:.1e}, {high:.1e}]"
+    return f"{text}: {name} = {number:.2e} {around} {target}"

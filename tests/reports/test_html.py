@@ -131,6 +131,13 @@ def test_no_alarm_is_said_and_alarms_are_shown_in_words(build, estimate):
     assert page.text.count("raised") == 2
 
 
+def test_an_interval_wider_than_its_estimate_is_shown_by_its_upper_end(build, estimate):
+    wide = estimate(probability=2e-6, interval=(0.0, 3e-2))
+    text = Page(render_report(build(estimate=wide))).text
+    assert "≤ 0.03" in text
+    assert "≤ 0.03" not in Page(render_report(build())).text
+
+
 def test_synthetic_is_said_where_it_is_and_only_there(build):
     events = {"n": 1000, "sample": [[15.0, 0.03, 0.1]] * 20}
     real = Page(render_report(build(provenance={"events": events})))

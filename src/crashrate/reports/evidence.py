@@ -40,7 +40,7 @@ def evidence(record: RunRecord, estimate: Estimate) -> tuple[Fact, ...]:
 
 
 def _relative(e: Estimate) -> str:
-    return f" (± {percent(e.relative_half_width)})" if is_number(e.relative_half_width) else ""
+    return f" (± {percent(e.relative_half_width)})" if e.relative_half_width <= 1 else ""
 
 
 def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:

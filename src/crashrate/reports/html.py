@@ -122,11 +122,18 @@ def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str]
     return (
         (power_of_ten(p), f"P({outcome.event}) per {outcome.per}: about one in {in_words(1 / p)}"),
         (
-            f"± {percent(estimate.relative_half_width)}",
+            _width(estimate),
             f"{100 * estimate.confidence:g} % interval, {interval_text(estimate.interval)}",
         ),
         (f"{estimate.n_calls:,} runs", _effort(estimate)),
     )
+
+
+def _width(estimate: Estimate) -> str:
+    """Half the interval over the estimate; its upper end where that is more than the estimate."""
+    if estimate.relative_half_width <= 1:
+        return f"± {percent(estimate.relative_half_width)}"
+    return f"≤ {power_of_ten(estimate.interval[1])}"
 
 
 def _consequences(estimate: Estimate) -> tuple[tuple[str, str, str, str, int], ...]:
