@@ -23,6 +23,7 @@ CALM = [
         lowest=1e-3 + e,
         highest=1e-3 + e,
         predicted=1e-3,
+        known=1e-3,
         variance=1e-8,
         n_draws=10,
         squares=1e-8,
@@ -40,7 +41,7 @@ def problem(cases):
     return Problem(traffic=cases.standard_normal(2), order=order)
 
 
-def raised(problem, rounds=CALM, bounds=BOUNDS, labels=None, *, dropped=False):
+def raised(problem, rounds=CALM, bounds=BOUNDS, labels=None, *, dropped=False, surprised=False):
     labels = Labels.empty(problem) if labels is None else labels
     state = State(
         labels,
@@ -49,6 +50,7 @@ def raised(problem, rounds=CALM, bounds=BOUNDS, labels=None, *, dropped=False):
         None,
         rounds=tuple(rounds),
         dropped_at=5 if dropped else None,
+        surprised=surprised,
     )
     combined = combine(rounds, 0.95) if rounds else None
     return doubts(problem, state, combined, bounds)
@@ -74,6 +76,19 @@ def test_too_few_hits(problem):
     assert raised(problem, none) == (Alarm.TOO_FEW_CRASHES,)
     far_reaching = [replace(r, hits=Hits(reach=1e6)) for r in CALM]
     assert raised(problem, far_reaching) == ()
+
+
+def test_unsettled(problem):
+    moves = [replace(CALM[0], predicted=1e-2), *CALM[1:]]
+    assert raised(problem, moves) == (Alarm.UNSETTLED,)
+    moved = [replace(CALM[0], predicted=1e-2), *CALM, *CALM]
+    assert raised(problem, moved) == ()
+    wide = [replace(r, variance=2e-6, squares=2e-6, hits=Hits(n=1, reach=1e2)) for r in CALM]
+    assert raised(problem, wide, bounds=(5e-4, 0.04)) == (Alarm.UNSETTLED,)
+
+
+def test_crashes_unforeseen(problem):
+    assert raised(problem, surprised=True) == (Alarm.CRASHES_UNFORESEEN,)
 
 
 def test_undecided_mass_large(problem):

@@ -98,6 +98,7 @@ def carried(estimate, deviation, n_draws=10, events=(1e-6, 1e-13), share=0.0):
         lowest=estimate,
         highest=estimate,
         predicted=max(estimate, 1e-12),
+        known=max(estimate, 1e-12),
         variance=deviation**2,
         n_draws=n_draws,
         squares=deviation**2,

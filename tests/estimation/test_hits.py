@@ -8,12 +8,13 @@ import pytest
 from crashrate.crash_set.order import RiskOrder
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.answer import answer
-from crashrate.estimation.hits import ENOUGH, Hits, count, upper_end
+from crashrate.estimation.hits import Hits, count, upper_end
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import combine, measure
 from crashrate.estimation.selection import to_estimate
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem
+from crashrate.estimation.trust import ENOUGH, LOOSE
 
 
 @pytest.fixture
@@ -68,19 +69,22 @@ def test_counts_crashes_that_nothing_implied_and_each_once(toy_view):
     assert (got.n, got.n_failed) == (len(undecided), 0)
     failed = count(view, drawn, np.full(400, np.nan))
     assert (failed.n, failed.n_failed) == (0, len(undecided))
-    assert got.decided == pytest.approx(view.weights @ view.inner)
+    assert got.taken == pytest.approx(view.weights @ view.inner)
     ratio = drawn.probabilities[view.undecided] / view.weights[view.undecided]
     assert got.reach == pytest.approx(400 * ratio.min())
 
 
 def test_upper_end_is_poissons():
-    none = [Hits(reach=100.0, decided=0.1), Hits(reach=200.0, decided=0.2)]
-    assert upper_end(none, 0.95) == pytest.approx(0.2 + 3.6889 / 300, rel=1e-4)
+    none = [Hits(reach=100.0, taken=0.1), Hits(reach=200.0, taken=0.2)]
+    taken = (100 * 0.1 + 200 * 0.2) / 300  # whichever round saw more of it
+    assert upper_end(none, 0.95) == pytest.approx(taken + 3.6889 / 300, rel=1e-4)
     one = [none[0], replace(none[1], n=1)]
-    assert upper_end(one, 0.95) == pytest.approx(0.2 + 5.5716 / 300, rel=1e-4)
+    assert upper_end(one, 0.95) == pytest.approx(taken + 5.5716 / 300, rel=1e-4)
     # a failed run may have been the one that was missed
     assert upper_end([none[0], replace(none[1], n_failed=1)], 0.95) == upper_end(one, 0.95)
-    assert upper_end([none[0], replace(none[1], n=ENOUGH)], 0.95) == 0.0
+    ten = [none[0], replace(none[1], n=10)]
+    assert upper_end(ten, 0.95) == pytest.approx(taken + 18.3904 / 300, rel=1e-4)
+    assert upper_end([Hits(reach=1.0)], 0.95) == 1.0
     assert upper_end([], 0.95) == 1.0
 
 
@@ -89,15 +93,28 @@ def test_where_nothing_is_open_the_order_says_all(toy_view):
     closed = replace(view, safe=~view.inner)
     drawn = to_estimate(closed, 10, np.random.default_rng(5))
     got = count(closed, drawn, outcomes[drawn.rows])
-    assert upper_end([got], 0.95) == got.decided == pytest.approx(view.weights @ view.inner)
+    assert upper_end([got], 0.95) == got.taken == pytest.approx(view.weights @ view.inner)
+    # such a round tells nothing of others in which something was open
+    open_ = Hits(reach=100.0, taken=0.1)
+    assert upper_end([got, open_], 0.95) == upper_end([open_], 0.95)
 
 
-def told(cases, view, outcomes):
-    """What a campaign answers after three rounds of this view."""
+def test_where_simulations_fail_may_be_crashes(toy_view):
+    view, outcomes = toy_view(np.random.default_rng(4))
+    failing = replace(view, failing=view.undecided & (view.pool.u[:, 0] > 0))
+    drawn = to_estimate(failing, 10, np.random.default_rng(5))
+    got = count(failing, drawn, outcomes[drawn.rows])
+    more = float(view.weights @ failing.failing)
+    assert more > 0
+    assert got.taken == pytest.approx(view.weights @ view.inner + more)
+
+
+def told(cases, view, outcomes, n):
+    """What a campaign answers after three rounds of `n` draws of this view."""
     order = RiskOrder.from_mapping(cases.increasing(2), ("a", "b"))
     problem = Problem(traffic=cases.standard_normal(2), order=order, relative_half_width=10.0)
     rng = np.random.default_rng(6)
-    drawn = [to_estimate(view, 60, rng) for _ in range(3)]
+    drawn = [to_estimate(view, n, rng) for _ in range(3)]
     rounds = tuple(measure(view, d, outcomes[d.rows]) for d in drawn)
     state = State(
         Labels.empty(problem),
@@ -112,11 +129,23 @@ def told(cases, view, outcomes):
 
 def test_an_answer_without_hits_is_wide(cases, sure_of_safety, toy_view):
     view, outcomes = sure_of_safety
-    snapshot, rounds = told(cases, view, np.where(view.inner, 1.0, 0.0))
+    snapshot, rounds = told(cases, view, np.where(view.inner, 1.0, 0.0), 60)
     assert snapshot.interval[0] == rounds.lower
     assert snapshot.interval[1] > 1.3 * rounds.upper
     assert Alarm.TOO_FEW_CRASHES in snapshot.alarms
-    view, outcomes = toy_view(np.random.default_rng(0))
-    hit, rounds = told(cases, view, outcomes)
+    view, outcomes = toy_view(np.random.default_rng(0), 8000)
+    hit, rounds = told(cases, view, outcomes, 2000)
+    assert rounds.half_width < LOOSE * rounds.estimate
     assert hit.interval == (rounds.lower, rounds.upper)
+    assert Alarm.UNSETTLED not in hit.alarms
     assert Alarm.TOO_FEW_CRASHES not in hit.alarms
+
+
+def test_a_loose_answer_is_wider_still_however_many_hits(cases, toy_view):
+    view, outcomes = toy_view(np.random.default_rng(0))
+    loose, rounds = told(cases, view, outcomes, 60)
+    assert rounds.half_width > LOOSE * rounds.estimate
+    assert loose.interval[1] > 1.3 * rounds.upper
+    assert loose.interval[1] <= view.bounds()[1]  # what the order leaves open
+    assert Alarm.UNSETTLED in loose.alarms
+    assert Alarm.TOO_FEW_CRASHES not in loose.alarms

@@ -31,6 +31,11 @@ def test_encounters_speak_against_an_estimate_far_below_them():
     assert not Encounters(30, 5).speak_against(0.1)
 
 
+def test_failed_encounters_may_have_been_safe():
+    assert Encounters(10, 5).speak_against(0.1)
+    assert not Encounters(10, 5, 20).speak_against(0.1)
+
+
 def test_interval_without_runs_is_everything():
     assert interval(0, 0, 0.95) == (0.0, 1.0)
 

@@ -102,6 +102,7 @@ def round_of(estimate, variance, predicted=1.0, fails=0.0, squares=None):
         lowest=estimate - fails,
         highest=estimate + fails,
         predicted=predicted,
+        known=predicted,
         variance=variance,
         n_draws=10,
         squares=variance if squares is None else squares,

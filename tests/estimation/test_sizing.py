@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
+from crashrate.estimation.encounters import Encounters
+from crashrate.estimation.hits import Hits
 from crashrate.estimation.rounds import MIN_ROUNDS, Round, combine, draws_to
 from crashrate.estimation.selection import to_estimate
 from crashrate.estimation.sizing import (
@@ -30,10 +32,12 @@ def rounds_of(n, variance):
         lowest=0.02,
         highest=0.02,
         predicted=0.02,
+        known=0.02,
         variance=variance,
         n_draws=10,
         squares=variance,
         largest=1e-3,
+        hits=Hits(n=2, reach=1e4),
     )
     return (one,) * n
 
@@ -142,6 +146,17 @@ def test_a_round_is_the_last_only_after_two_others_and_where_a_batch_suffices(pr
     assert last(problem(), state_of(100, near[:1]), view) is None
     assert last(problem(), state_of(100, near), view) == FEWEST
     assert last(problem(relative_half_width=1e-6), state_of(100, near), view) is None
+
+
+def test_no_round_is_the_last_while_something_else_keeps_the_interval_wide(problem, toy_view):
+    view, _ = toy_view(np.random.default_rng(0))
+    near = rounds_of(MIN_ROUNDS, 1e-9)
+    state = state_of(100, near)
+    assert last(problem(), state, view) == FEWEST
+    unhit = tuple(replace(r, hits=Hits(reach=10.0)) for r in near)
+    assert last(problem(), replace(state, rounds=unhit), view) is None
+    crashed = replace(state, encounters=Encounters(n=30, n_crashes=20))
+    assert last(problem(), crashed, view) is None
 
 
 def test_a_campaign_asks_for_no_more_than_it_needs(cases):

@@ -19,6 +19,14 @@ class Alarm(StrEnum):
         "the estimate rests on fewer than ten simulated crashes, or on fewer than three among the "
         "runs drawn to estimate it: the interval's normal approximation is not to be trusted"
     )
+    UNSETTLED = (
+        "the estimate has not settled: it moves by a multiple from round to round, or its interval "
+        "is wider than half of it to either side; the upper end is what the runs could have missed"
+    )
+    CRASHES_UNFORESEEN = (
+        "the last look at places far from all runs met a crash where none was expected: there may "
+        "be more such places, which are in neither the estimate nor its interval"
+    )
     WEIGHTS_CONCENTRATED = (
         "one simulator run moves the estimate by more than a quarter: the next run may move it "
         "as much"

@@ -1,7 +1,7 @@
 """The answer: the estimate that the rounds so far add up to, its interval, its alarms.
 
 The rounds' own interval is widened where something else says that it must be: random encounters,
-or too few hits.
+or too few hits, or an estimate that has not settled.
 """
 
 from dataclasses import replace
@@ -11,11 +11,11 @@ import numpy as np
 from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, StopReason
 from crashrate.estimation.carried import together
 from crashrate.estimation.consequence import Consequence
-from crashrate.estimation.encounters import Encounters, interval
-from crashrate.estimation.hits import upper_end
+from crashrate.estimation.encounters import Encounters
 from crashrate.estimation.rounds import MIN_ROUNDS, Combined, combine, log_efficiency, not_refuted
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
+from crashrate.estimation.trust import Trust, trust
 from crashrate.estimation.view import View
 
 SCATTER_LIMIT = 3.0
@@ -29,13 +29,12 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
     if state.learning:  # what is learned after rounds were estimated may refute them
         rounds = tuple(not_refuted(rounds, view.probability))
     if not rounds:
-        e = state.encounters or Encounters()
-        seen = interval(e.n_crashes, e.n, problem.confidence)
+        seen = (state.encounters or Encounters()).interval(problem.confidence)
         return replace(start, interval=seen, alarms=doubts(problem, state, None, bounds))
     state = replace(state, rounds=rounds)
     c = combine(rounds, problem.confidence, state.least_inflation)
     n_runs = sum(r.n_runs for r in rounds)
-    around = _interval(problem, state, c)
+    around = _interval(problem, state, c, bounds[1])
     return replace(
         start,
         probability=c.estimate,
@@ -48,7 +47,7 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
         consequences=_consequences(problem, state, c, around),
         alarms=doubts(problem, state, c, bounds),
         phase="estimate",
-        stop_reason=_stop(problem, state, c),
+        stop_reason=_stop(problem, state, c, around),
     )
 
 
@@ -74,20 +73,16 @@ def _consequences(
     return tuple(replace(f, interval=(f.interval[0], event[1])) for f in found)
 
 
-def _interval(problem: Problem, state: State, c: Combined) -> tuple[float, float]:
-    upper = max(c.upper, _unhit(problem, state))
+def _interval(problem: Problem, state: State, c: Combined, outer: float) -> tuple[float, float]:
+    upper = max(c.upper, trust(problem, state, c, outer).limit)
     e = state.encounters
     if e is not None and e.speak_against(c.upper):
-        upper = max(upper, interval(e.n_crashes, e.n, problem.confidence)[1])
+        upper = max(upper, e.interval(problem.confidence)[1])
     return c.lower, upper
 
 
-def _unhit(problem: Problem, state: State) -> float:
-    return upper_end([r.hits for r in state.rounds], problem.confidence)
-
-
-def _stop(problem: Problem, state: State, c: Combined) -> StopReason:
-    aimed = _target(problem, state, c, _interval(problem, state, c))
+def _stop(problem: Problem, state: State, c: Combined, event: tuple[float, float]) -> StopReason:
+    aimed = _target(problem, state, c, event)
     if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, *aimed):
         return StopReason.TARGET_MET
     return StopReason.RUNNING
@@ -113,6 +108,7 @@ def doubts(
     problem: Problem, state: State, c: Combined | None, bounds: tuple[float, float]
 ) -> tuple[Alarm, ...]:
     """Alarms on the rounds' estimate, if there is one, and on what it rests on."""
+    trusted = Trust() if c is None else trust(problem, state, c, bounds[1])
     raised = {
         Alarm.ORDER_DROPPED: state.dropped_at is not None,
         Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
@@ -122,7 +118,9 @@ def doubts(
             and state.encounters is not None
             and state.encounters.speak_against(c.upper)
         ),
-        Alarm.TOO_FEW_CRASHES: c is not None and _unhit(problem, state) > c.upper,
+        Alarm.TOO_FEW_CRASHES: trusted.few,
+        Alarm.UNSETTLED: trusted.unsettled,
+        Alarm.CRASHES_UNFORESEEN: state.surprised,
         Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
         Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
         Alarm.TRAFFIC_UNDETERMINED: (

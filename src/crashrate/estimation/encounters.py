@@ -71,8 +71,8 @@ class Encounters:
         return low, high
 
     def speak_against(self, upper: float) -> bool:
-        """Whether they exclude a probability of `upper` or less."""
-        return interval(self.n_crashes, self.n, LEVEL)[0] > upper
+        """Whether they exclude a probability of `upper` or less, were all failed runs safe."""
+        return self.interval(LEVEL)[0] > upper
 
 
 def meet(

@@ -5,6 +5,7 @@ the surrogate's sum P0 alone, corrected by safe outcomes only: it may be wrong b
 neither the rounds' scatter nor their predicted variance says so. The count does.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,8 +15,6 @@ from scipy.special import chdtri
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.view import View
 from crashrate.variables import FloatArray
-
-ENOUGH = 3  # hits from which on the rounds speak for themselves
 
 
 @dataclass(frozen=True)
@@ -29,15 +28,16 @@ class Hits:
     n_failed : int
         Failed simulations, which may have been crashes.
     reach : float
-        Expected hits are at least this times the probability of a crash that nothing implies.
-    decided : float
-        Probability of what is taken as a crash without a run, P(inner).
+        Expected hits are at least this times the probability of a crash that is not `taken`;
+        infinite where nothing is undecided.
+    taken : float
+        Probability of what counts as a crash without a run: P(inner), and where simulations fail.
     """
 
     n: int = 0
     n_failed: int = 0
     reach: float = 0.0
-    decided: float = 0.0
+    taken: float = 0.0
 
 
 NONE = Hits()
@@ -53,21 +53,22 @@ def count(view: View, drawn: Drawn, outcomes: FloatArray) -> Hits:
         n=len(np.unique(rows[there & (outcomes == 1)])),
         n_failed=len(np.unique(rows[there & np.isnan(outcomes)])),
         reach=len(rows) * float(least),
-        decided=float(view.weights[view.inner].sum()),
+        taken=float(view.weights[view.inner | view.failing].sum()),
     )
 
 
 def upper_end(found: Sequence[Hits], confidence: float) -> float:
-    """Upper end of the probability that so few hits allow; 0 where they are enough.
+    """Upper end of the probability that so few hits allow.
 
-    Expected hits of a round are Σ pr y n ≥ reach (p - P(inner)); their number is at most as
-    variable as Poisson's, whose limit (Garwood 1936) this is, with the P(inner) of the last round,
-    the largest. It is wide: a limit on what the draws could have missed, no estimate.
+    Expected hits of a round are Σ pr y n ≥ reach (p - taken), whatever the surrogate holds: of all
+    rounds, Σ reach (p - taken) at least. Their number is taken as Poisson's, whose limit this is
+    (Garwood 1936). p is the probability under the rounds' pools, with what only the order holds to
+    be safe taken as safe. It is wide: a limit on what the draws could have missed, no estimate.
     """
-    n = sum(h.n for h in found)
-    if n >= ENOUGH:
-        return 0.0
-    reach = sum(h.reach for h in found)
-    possible = n + sum(h.n_failed for h in found)
+    open_ = [h for h in found if math.isfinite(h.reach)]
+    reach = sum(h.reach for h in open_)
+    if not reach > 0:
+        return max((h.taken for h in found), default=1.0) if len(open_) < len(found) else 1.0
+    possible = sum(h.n + h.n_failed for h in open_)
     most = float(chdtri(2 * (possible + 1), (1 - confidence) / 2)) / 2
-    return min(found[-1].decided + most / reach, 1.0) if reach > 0 else 1.0
+    return min((most + sum(h.reach * h.taken for h in open_)) / reach, 1.0)

@@ -21,6 +21,7 @@ from crashrate.variables import FloatArray
 
 if TYPE_CHECKING:
     from crashrate.estimation.carried import Carried
+    from crashrate.estimation.hindsight import Design
 
 # What was seen is shrunk to what was predicted with the weight of this many rounds. The square of a
 # draw's contribution tells half as much of the variance as that of a round's deviation: most draws
@@ -35,8 +36,8 @@ MIN_INFLATION = 0.5
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
-# A round whose prediction was below this share of the latest ones had not seen the crash set yet,
-# and what it was sure of was wrong: it is left out.
+# A round whose pool holds less than this share of the crash mass known now was drawn elsewhere, and
+# neither it nor its variance tells of the rest: it is left out.
 MIN_PREDICTED, LATEST = 0.5, 3
 Values = FloatArray | float
 MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
@@ -72,8 +73,10 @@ class Round:
         round, and all where the simulator fails.
     predicted : float
         The surrogate's sum P0, before the outcomes were known.
+    known : float
+        The same by what is known now.
     variance : float
-        Of `estimate`, predicted likewise.
+        Of `estimate`, by what is known now: as predicted for the latest round.
     n_draws : int
         Draws, repetitions included.
     squares : float
@@ -86,6 +89,8 @@ class Round:
     consequences : tuple of Carried
         What the same draws say of the event's consequences.
     hits : Hits
+    design : Design or None
+        How its draws were chosen, to tell `known` and `variance` anew by later outcomes.
     """
 
     n_runs: int
@@ -93,6 +98,7 @@ class Round:
     lowest: float
     highest: float
     predicted: float
+    known: float
     variance: float
     n_draws: int
     squares: float
@@ -100,6 +106,7 @@ class Round:
     members: Sums | None = None
     consequences: tuple["Carried", ...] = ()
     hits: Hits = NONE
+    design: "Design | None" = None
 
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
@@ -140,7 +147,8 @@ def corrected(
         lowest=estimate + least - float(failing @ held),
         highest=estimate + most + float(failing @ (1 - held)),
         predicted=predicted,
-        variance=float(_at_least(drawing + of_pool, predicted)),
+        known=predicted,
+        variance=float(at_least(drawing + of_pool, predicted)),
         n_draws=n,
         squares=float(moved @ moved) + of_pool,
         largest=float(np.abs(moved).max()),
@@ -148,7 +156,7 @@ def corrected(
     return found, moved
 
 
-def _at_least(variance: Values, predicted: Values) -> FloatArray:
+def at_least(variance: Values, predicted: Values) -> FloatArray:
     """`variance`, or that of the surest prediction allowed."""
     return np.maximum(variance, np.maximum((CERTAIN * np.asarray(predicted)) ** 2, TINY))
 
@@ -164,7 +172,7 @@ def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
     return Sums(
         estimates=predicted + moved @ drawn_ratios,
         predicted=predicted,
-        variances=_at_least(spread @ ratios**2 + pool, predicted),
+        variances=at_least(spread @ ratios**2 + pool, predicted),
         squares=moved**2 @ drawn_ratios**2 + pool,
     )
 
@@ -239,14 +247,14 @@ def combine(rounds: Sequence[Round], confidence: float, least: float = MIN_INFLA
     least : float
         Of the inflation.
     """
-    rounds = not_refuted(rounds, float(np.median([r.predicted for r in rounds[-LATEST:]])))
-    estimates, predicted, variances, squares = (
+    rounds = counted(rounds)
+    estimates, known, variances, squares = (
         np.array([getattr(r, name) for r in rounds])
-        for name in ("estimate", "predicted", "variance", "squares")
+        for name in ("estimate", "known", "variance", "squares")
     )
-    share = _shares(predicted, variances)
+    share = _shares(known, variances)
     n_draws = np.array([r.n_draws for r in rounds], dtype=float)
-    found = _together(share, Sums(estimates, predicted, variances, squares), n_draws, least)
+    found = _together(share, Sums(estimates, known, variances, squares), n_draws, least)
     center, error = float(found.center), math.sqrt(found.inflation * found.variance)
     half_width = float(stdtrit(found.freedom, 0.5 + confidence / 2)) * error
     lowest = float(share @ np.array([r.lowest for r in rounds]))
@@ -341,9 +349,14 @@ def _members(rounds: Sequence[Round], n_draws: FloatArray, least: float) -> Traf
     return TrafficRange(tuple(got.center.tolist()), tuple(error.tolist()))
 
 
-def not_refuted(rounds: Sequence[Round], predicted: float) -> list[Round]:
-    """The rounds that had seen as much of the crash set as is now known, `predicted`, or half."""
-    return [r for r in rounds if r.predicted >= MIN_PREDICTED * predicted]
+def counted(rounds: Sequence[Round]) -> list[Round]:
+    """The rounds that count, by the latest ones."""
+    return not_refuted(rounds, float(np.median([r.known for r in rounds[-LATEST:]])))
+
+
+def not_refuted(rounds: Sequence[Round], probability: float) -> list[Round]:
+    """The rounds whose pools hold as much crash mass as is now known, `probability`, or half."""
+    return [r for r in rounds if r.known >= MIN_PREDICTED * probability]
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ risk order, and chooses runs from it: to learn, while one round could not estima
 estimate, after. docs/method.md has the reasons.
 """
 
+import math
 from collections.abc import Generator
 from dataclasses import replace
 
@@ -23,6 +24,7 @@ from crashrate.estimation.encounters import Encounters, meet
 from crashrate.estimation.exact_bounds import exact_bounds
 from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.following import look_closer
+from crashrate.estimation.hindsight import design, reconsider
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import ask, vouched_safe
@@ -40,7 +42,7 @@ from crashrate.estimation.sizing import (
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
-from crashrate.estimation.view import Standardiser, View, see
+from crashrate.estimation.view import Standardiser, View, held, see
 from crashrate.sampling.pool import Density, draw_pool
 from crashrate.variables import FloatArray
 
@@ -77,7 +79,10 @@ def sequential(problem: Problem) -> Learner:
         closer = yield from look_closer(problem, state, view, snapshot, rng)
         state = state if closer is state else _distrust(closer, view)
         snapshot = answer(problem, state, view)
-        if snapshot.stop_reason is not StopReason.RUNNING and not state.surveyed:
+        if snapshot.stop_reason is not StopReason.RUNNING:  # the last outcomes have their say first
+            state = _reconsidered(state, *_fit(state))
+            snapshot = answer(problem, state, view)
+        if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
             state = yield from _survey(problem, state, snapshot)
             snapshot = answer(problem, state, view)
         if outvoted(problem, state):
@@ -90,7 +95,7 @@ def sequential(problem: Problem) -> Learner:
             snapshot = answer(problem, state, view)
         state = _directed(problem, state, snapshot)
         reached = snapshot.stop_reason is not StopReason.RUNNING
-        if reached and state.surveyed and not state.members:
+        if reached and _surveyed(problem, state) and not state.members:
             break
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     else:
@@ -104,7 +109,7 @@ def _survey(
     problem: Problem, state: State, snapshot: Snapshot
 ) -> Generator[Query, FloatArray, State]:
     """Look at the emptiest places; what was estimated is void where a crash comes as a surprise."""
-    rng = problem.rng(SURVEYS + 1 + state.n_surveys)
+    rng, target = problem.rng(SURVEYS + 1 + state.n_surveys), problem.target_at(state.labels.n)
     running = replace(snapshot, stop_reason=StopReason.RUNNING)
     surrogate, model = _fit(state)
     belief = Belief(state.labels, surrogate, model.standardise, state.proposal)
@@ -116,8 +121,14 @@ def _survey(
     done = state.n_surveys + 1
     if surprise:
         state = replace(state, rounds=(), model=state.model.forgetting())
-    surveyed = whole and (not surprise or done == MAX_SURVEYS)
-    return replace(state, labels=labels, n_surveys=done, surveyed=surveyed)
+    if whole and (not surprise or done >= MAX_SURVEYS):
+        state = replace(state, surveyed_for=target)
+    return replace(state, labels=labels, n_surveys=done, surprised=surprise)
+
+
+def _surveyed(problem: Problem, state: State) -> bool:
+    """Whether the last look was for the target in force."""
+    return state.surveyed_for <= problem.target_at(state.labels.n)
 
 
 def _belief(state: State) -> Belief:
@@ -165,6 +176,7 @@ def _round(
     """One round: see a fresh pool, choose runs from it, learn their outcomes."""
     rng = problem.rng(state.k)
     surrogate, model = _fit(state)
+    state = _reconsidered(state, surrogate, model)
     proposal = state.proposal
     # the first proposal is only inflated traffic, and the last round's was not for these members
     for _ in range(2 if state.k == 1 else bool(state.members)):
@@ -247,7 +259,7 @@ def _estimate(
     snapshot = replace(snapshot, phase="estimate")
     labels = yield from ask(problem, state.labels, view.pool.x[rows], snapshot)
     told = labels.n - len(rows) + np.searchsorted(rows, drawn.rows)
-    found = measure(view, drawn, labels.y[told])
+    found = replace(measure(view, drawn, labels.y[told]), design=design(view, drawn))
     if problem.consequences:
         found = replace(found, consequences=carry(view, drawn, labels.y[told], labels.z[told]))
     return labels, (*state.rounds, found)
@@ -257,6 +269,16 @@ def _fit(state: State) -> tuple[Surrogate, Model]:
     # learning again: the kernel was a bad choice, and would stay for another seventh of the runs
     again = not state.ordered and state.learning and bool(state.rounds)
     return state.model.fit(state.labels, state.ordinary, directed=state.directed, again=again)
+
+
+def _reconsidered(state: State, surrogate: Surrogate, model: Model) -> State:
+    """With the rounds' variances by what is known now."""
+    return replace(
+        state,
+        rounds=reconsider(
+            state.rounds, lambda u: held(u, state.labels, surrogate, model.standardise)[0]
+        ),
+    )
 
 
 def _distrust(state: State, view: View) -> State:
@@ -269,6 +291,8 @@ def _distrust(state: State, view: View) -> State:
             rounds=(),
             directed=found is not Verdict.FALSE,
             dropped_at=state.labels.n,
+            surveyed_for=math.inf,
+            surprised=False,
             model=state.model.forgetting(),
         )
     if len(state.ordinary) and not ordinary_is_safe(view.probability):

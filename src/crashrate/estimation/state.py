@@ -1,5 +1,6 @@
 """What the default method knows between two rounds."""
 
+import math
 from dataclasses import dataclass
 
 from crashrate.estimation.direction import LEARNING_ROUNDS, Members
@@ -54,8 +55,10 @@ class State:
         Rounds so far that were directed at members.
     n_surveys : int
         Looks so far, once the target was met, at places far from all runs.
-    surveyed : bool
-        Whether the last of them met no surprise, or they are at an end.
+    surveyed_for : float
+        The tightest target for which the last of them met no surprise, or they were at an end.
+    surprised : bool
+        Whether the last of them met one.
     followed : tuple of int
         Rows of the labels beside which was looked, or that were asked for it.
     """
@@ -74,7 +77,8 @@ class State:
     members: Members = ()
     n_directed: int = 0
     n_surveys: int = 0
-    surveyed: bool = False
+    surveyed_for: float = math.inf
+    surprised: bool = False
     followed: tuple[int, ...] = ()
 
     @property
