@@ -1,5 +1,8 @@
 """Crash regions far from the first one found are looked for where no order speaks, and found."""
 
+from functools import partial
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -8,6 +11,7 @@ from crashrate.estimation import sequential, surveying
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.run import estimate
+from crashrate.estimation.strategy import Problem
 
 LEVEL = norm.isf(5e-4)
 
@@ -144,6 +148,18 @@ def test_surveys_come_to_an_end(cases, monkeypatch):
     monkeypatch.setattr(sequential, "MAX_SURVEYS", 2)
     got = found(cases, 0)
     assert got.stop_reason in {StopReason.TARGET_MET, StopReason.BUDGET_ENDED}
+    assert Alarm.CRASHES_UNFORESEEN in got.alarms
+
+
+def test_a_tighter_target_is_looked_at_anew(cases):
+    """A look is for the target that was met, and for wider ones."""
+    problem = partial(Problem, traffic=cases.standard_normal(2))
+    looked = SimpleNamespace(surveyed_for=0.2, labels=SimpleNamespace(n=100))
+    assert sequential._surveyed(problem(relative_half_width=0.2), looked)
+    assert sequential._surveyed(problem(relative_half_width=0.3), looked)
+    assert not sequential._surveyed(problem(relative_half_width=0.1), looked)
+    earlier = problem(relative_half_width=0.1, earlier_targets=((0.2, 101),))
+    assert sequential._surveyed(earlier, looked)
 
 
 def test_a_campaign_that_looks_again_is_not_finished(cases):
