@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import norm
 
 from crashrate.estimation import hindsight
+from crashrate.estimation.carried import Carried
 from crashrate.estimation.hindsight import MOST, N_KEPT, design, reconsider
-from crashrate.estimation.rounds import Sums, combine, measure
+from crashrate.estimation.rounds import Round, Sums, combine, counted, measure
 from crashrate.estimation.selection import to_estimate
 from crashrate.estimation.view import View
 from crashrate.sampling.gaussians import Gaussians
@@ -94,25 +95,66 @@ def test_what_is_still_held_changes_nothing(seen):
     assert reconsider([replace(one, design=None)], wrong) == (replace(one, design=None),)
 
 
+@pytest.mark.parametrize("now", [right, lambda u: 0.3 * right(u)])
+def test_the_rows_kept_tell_what_all_of_them_would(seen, now, monkeypatch):
+    """Also where far less is known to crash than was thought, or far more."""
+    rng = np.random.default_rng(3)
+    for then in (lambda u: np.where(u[:, 0] > 1, right(u), 1e-6), lambda u: right(u - 0.4)):
+        view, _ = seen(then, rng, 8000)
+        drawn = to_estimate(view, 10, rng)
+        whole = design(view, drawn)
+        assert len(whole.u) <= N_KEPT < len(view.h)
+        some = whole.now(now(whole.u))
+        monkeypatch.setattr(hindsight, "N_KEPT", 100_000)
+        every = design(view, drawn)
+        assert some == pytest.approx(every.now(now(every.u)), rel=0.5)
+        monkeypatch.undo()
+
+
 def test_a_crash_out_of_the_question_moves_by_a_few_times_the_probability_at_most(seen):
     rng = np.random.default_rng(3)
     view, outcomes = seen(lambda u: np.where(u[:, 0] > 1, right(u), 1e-12), rng)
     one = round_of(view, outcomes, 10, rng)
-    d = one.design
-    added = d.each * float(d.weights @ (right(d.u) - d.h))
     (known,) = reconsider([one], right)
-    assert known.known == pytest.approx(one.predicted + added)
+    added = known.known - one.predicted
+    assert added > 0.3 * known.known
     assert one.variance < known.variance < 1.1 * (one.variance + MOST * known.known * added)
+
+
+def test_of_next_to_nothing_left_no_round_is_certain(seen):
+    rng = np.random.default_rng(5)
+    one = round_of(*seen(right, rng), 10, rng)
+    (known,) = reconsider([one], lambda u: 1e-9 * right(u))
+    assert 0 < known.known < 1e-8 * one.predicted
+    assert known.variance > 0
+    # and it is left out beside rounds that hold what there is
+    assert list(counted([known, one, one, one])) == [one] * 3
+
+
+def test_rounds_that_foresaw_less_than_half_are_left_out():
+    """Their variance, capped, would not make up for what they are all too low by."""
+    one = Round(6, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01, 6, 0.01, 0.1)
+    blind = replace(one, predicted=0.4)
+    assert list(counted([blind, one, one])) == [one, one]
+    assert list(counted([blind, blind])) == [blind, blind]  # none knew better
 
 
 def test_members_and_consequences_are_as_sure_as_the_event(seen):
     rng = np.random.default_rng(4)
     one = round_of(*seen(wrong, rng), 10, rng)
     sums = Sums(np.ones(2), np.ones(2), np.array([1.0, 2.0]), np.ones(2))
-    (known,) = reconsider([replace(one, members=sums)], right)
+    carried = Carried(replace(one, design=None), 1.0, 1.0, 1.0)
+    with_both = replace(one, members=sums, consequences=(carried,))
+    (known,) = reconsider([with_both], right)
     by = known.variance / one.variance
     assert by > 2
     np.testing.assert_allclose(known.members.variances, by * sums.variances)
+    injury = known.consequences[0].round
+    assert injury.variance == pytest.approx(by * one.variance)
+    assert injury.known == pytest.approx(known.known)
+    # a consequence has doubts of its own: none are taken from it
+    (surer,) = reconsider([with_both], lambda u: 1e-9 * right(u))
+    assert surer.variance < one.variance == surer.consequences[0].round.variance
     (again,) = reconsider([known], right)
     assert again.variance == pytest.approx(known.variance)
     np.testing.assert_allclose(again.members.variances, known.members.variances)

@@ -8,18 +8,23 @@ the draws' variance is Σ w² / pr · (h' (1 - h') + (h' - h)²) / n.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
-from crashrate.estimation.rounds import Round, at_least, predicted_variance
-from crashrate.estimation.selection import Drawn
-from crashrate.estimation.view import View
+from crashrate.estimation.rounds import TINY, Round, at_least, predicted_variance
+from crashrate.estimation.selection import Drawn, IntArray
+from crashrate.estimation.view import View, normalised
 from crashrate.variables import FloatArray
 
 N_KEPT = 400  # rows of a round's pool that stand for all of it
+N_IN_ALL = 10_000  # of all rounds: where there are many, fewer of each are looked at
+# What the rows are drawn by: what the draws were, what was thought hardly likely, and all.
+BY_SPREAD, BY_CHANCE, BY_ALL = 0.5, 0.25, 0.25
 # A draw where crashes were thought out of the question may move the estimate by a thousand times
 # the probability, once in a million rounds: it counts as if it moved it by so many times.
-MOST = 3.0
+MOST = 10.0
+LEAST_MEMBERS = 0.05  # of a member's variance: what the average learned need not be all of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +37,7 @@ class Design:
         Risk coordinates.
     weights, h, move : ndarray, shape (k,)
         Weight, what was held, and w / pr / n: what one draw moves the estimate by if it crashes.
-    each : float
+    each : ndarray, shape (k,)
         Rows of the pool that one of these stands for.
     n_pool : int
         Draws of the pool.
@@ -44,41 +49,48 @@ class Design:
     weights: FloatArray
     h: FloatArray
     move: FloatArray
-    each: float
+    each: FloatArray
     n_pool: int
     probability: float
     drawing: float
     of_pool: float
 
+    def every(self, step: int) -> Self:
+        """With one in `step` rows."""
+        kept = {k: getattr(self, k)[::step] for k in ("u", "weights", "h", "move", "each")}
+        return replace(self, **kept | {"each": step * kept["each"]})
+
     def now(self, h: FloatArray) -> tuple[float, float]:
         """Probability and variance of the round if `h` (k,) is held of the rows."""
         w, then = self.weights, self.h
-        probability = max(self.probability + self._sum(w * (h - then)), 0.0)
-        move = np.minimum(self.move, MOST * probability)
-        before = self._sum(w * self.move * then * (1 - then))
-        after = self._sum(w * move * (h * (1 - h) + (h - then) ** 2))
-        # few rows tell a share better than a difference; but not of next to nothing
-        drawing = self.drawing * after / before if after < before else self.drawing + after - before
-        squares = self._sum((w * h) ** 2 - (w * then) ** 2)
-        mean_squares = (probability**2 - self.probability**2) / self.n_pool
-        return probability, drawing + max(self.of_pool + squares - mean_squares, 0.0)
+        probability = self._moved(self.probability, w * then, w * h)
+        doubt = w * np.minimum(self.move, MOST * probability)
+        before, after = doubt * then * (1 - then), doubt * (h * (1 - h) + (h - then) ** 2)
+        drawing = self._moved(self.drawing, before, after)
+        mean_square = (probability**2 - self.probability**2) / self.n_pool
+        squares = self._moved(self.of_pool, (w * then) ** 2, (w * h) ** 2)
+        return probability, drawing + max(squares - mean_square, 0.0)
 
-    def _sum(self, parts: FloatArray) -> float:
-        return self.each * float(parts.sum())
+    def _moved(self, total: float, before: FloatArray, after: FloatArray) -> float:
+        """A sum over the pool, once its parts `before` are `after`.
+
+        Some rows tell a share better than a difference, but not a share of next to nothing.
+        """
+        old, new = float(self.each @ before), float(self.each @ after)
+        return total * new / old if new < old else total + new - old
 
 
 def design(view: View, drawn: Drawn) -> Design:
     """Of the round that drew so."""
-    # what is settled stays so, or all rounds are void
-    rows = np.flatnonzero((view.h > 0) & (view.h < 1) & (view.weights > 0) & ~view.failing)
-    kept, n = rows[:: max(-(-len(rows) // N_KEPT), 1)], len(drawn.rows)
+    n = len(drawn.rows)
+    kept, each = _kept(view)
     weights = view.weights[kept]
     return Design(
         u=view.pool.u[kept],
         weights=weights,
         h=view.h[kept],
         move=weights / np.maximum(drawn.probabilities[kept], 1e-300) / n,
-        each=len(rows) / max(len(kept), 1),
+        each=each,
         n_pool=view.pool.n_drawn,
         probability=view.probability,
         drawing=predicted_variance(view, drawn.probabilities, n),
@@ -86,27 +98,58 @@ def design(view: View, drawn: Drawn) -> Design:
     )
 
 
+def _kept(view: View) -> tuple[IntArray, FloatArray]:
+    """Rows that stand for the pool, drawn systematically, and how many each of them stands for.
+
+    What is settled is left out: it seldom opens again but at the edge, where it is in doubt anyway.
+    """
+    rows = np.flatnonzero((view.h > 0) & (view.h < 1) & (view.weights > 0) & ~view.failing)
+    if not len(rows):
+        return rows, np.empty(0)
+    h, w = view.h[rows], view.weights[rows]
+    likely = (
+        BY_SPREAD * normalised(w * np.sqrt(h * (1 - h)))
+        + BY_CHANCE * normalised(w * h**0.25)
+        + BY_ALL / len(rows)
+    )
+    edges = np.cumsum(likely)
+    ticks = (np.arange(N_KEPT) + 0.5) / N_KEPT * edges[-1]
+    at, times = np.unique(np.searchsorted(edges, ticks), return_counts=True)
+    return rows[at], times / (N_KEPT * likely[at])
+
+
 def reconsider(
     rounds: Sequence[Round], hold: Callable[[FloatArray], FloatArray]
 ) -> tuple[Round, ...]:
     """The rounds as known now; `hold` says what is held of risk coordinates (n, m)."""
-    designs = [r.design for r in rounds if r.design is not None]
+    step = -(-len(rounds) * N_KEPT // N_IN_ALL)
+    designs = [r.design.every(max(step, 1)) for r in rounds if r.design is not None]
     if not designs:
         return tuple(rounds)
     h = hold(np.concatenate([d.u for d in designs]))
     ends = np.cumsum([len(d.u) for d in designs])[:-1]
     found = iter(d.now(part) for d, part in zip(designs, np.split(h, ends), strict=True))
-    return tuple(r if r.design is None else _as_known(r, *next(found)) for r in rounds)
+    return tuple(r if r.design is None else _as_known(r.then or r, *next(found)) for r in rounds)
 
 
-def _as_known(r: Round, probability: float, variance: float) -> Round:
-    """The round with that, and all else that its draws tell as much surer or less sure."""
+def _as_known(then: Round, probability: float, variance: float) -> Round:
+    """The round that was `then`, by what is known now; what else its draws tell likewise.
+
+    Without its own reckoning a consequence is less sure where the event is, and never surer. Where
+    the variance grew, small contributions are no sign that it is small.
+    """
     variance = float(at_least(variance, probability))
-    by = variance / r.variance
-    members = r.members and replace(r.members, variances=by * r.members.variances)
+    by, share = variance / then.variance, probability / max(then.predicted, TINY)
+    members = then.members and replace(
+        then.members, variances=max(by, LEAST_MEMBERS) * then.members.variances
+    )
     consequences = tuple(
-        replace(c, round=replace(c.round, variance=by * c.round.variance)) for c in r.consequences
+        replace(c, round=_scaled(c.round, max(by, 1.0), share)) for c in then.consequences
     )
-    return replace(
-        r, known=probability, variance=variance, members=members, consequences=consequences
-    )
+    return replace(_scaled(then, by, share), members=members, consequences=consequences, then=then)
+
+
+def _scaled(r: Round, by: float, share: float) -> Round:
+    variance = by * r.variance
+    squares = max(r.squares, variance) if by > 1 else r.squares
+    return replace(r, known=share * r.predicted, variance=variance, squares=squares)

@@ -48,11 +48,12 @@ def count(view: View, drawn: Drawn, outcomes: FloatArray) -> Hits:
     rows = drawn.rows
     there = view.undecided[rows]
     possible = view.undecided & (view.weights > 0)
-    least = (drawn.probabilities[possible] / view.weights[possible]).min(initial=np.inf)
+    expected = np.minimum(len(rows) * drawn.probabilities[possible], 1.0)  # each counts once
+    least = (expected / view.weights[possible]).min(initial=np.inf)
     return Hits(
         n=len(np.unique(rows[there & (outcomes == 1)])),
         n_failed=len(np.unique(rows[there & np.isnan(outcomes)])),
-        reach=len(rows) * float(least),
+        reach=float(least),
         taken=float(view.weights[view.inner | view.failing].sum()),
     )
 
@@ -66,9 +67,11 @@ def upper_end(found: Sequence[Hits], confidence: float) -> float:
     be safe taken as safe. It is wide: a limit on what the draws could have missed, no estimate.
     """
     open_ = [h for h in found if math.isfinite(h.reach)]
+    if found and not open_:
+        return max(h.taken for h in found)
     reach = sum(h.reach for h in open_)
     if not reach > 0:
-        return max((h.taken for h in found), default=1.0) if len(open_) < len(found) else 1.0
+        return 1.0
     possible = sum(h.n + h.n_failed for h in open_)
     most = float(chdtri(2 * (possible + 1), (1 - confidence) / 2)) / 2
     return min((most + sum(h.reach * h.taken for h in open_)) / reach, 1.0)

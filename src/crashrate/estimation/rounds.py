@@ -36,8 +36,8 @@ MIN_INFLATION = 0.5
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
-# A round whose pool holds less than this share of the crash mass known now was drawn elsewhere, and
-# neither it nor its variance tells of the rest: it is left out.
+# A round whose pool holds less than this share of the crash mass known now was drawn elsewhere; one
+# that held less of it to be likely missed most by what it was sure of. They are left out.
 MIN_PREDICTED, LATEST = 0.5, 3
 Values = FloatArray | float
 MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
@@ -91,6 +91,8 @@ class Round:
     hits : Hits
     design : Design or None
         How its draws were chosen, to tell `known` and `variance` anew by later outcomes.
+    then : Round or None
+        The round as it was measured, where this is what is known of it now.
     """
 
     n_runs: int
@@ -107,6 +109,7 @@ class Round:
     consequences: tuple["Carried", ...] = ()
     hits: Hits = NONE
     design: "Design | None" = None
+    then: "Round | None" = None
 
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
@@ -349,14 +352,15 @@ def _members(rounds: Sequence[Round], n_draws: FloatArray, least: float) -> Traf
     return TrafficRange(tuple(got.center.tolist()), tuple(error.tolist()))
 
 
-def counted(rounds: Sequence[Round]) -> list[Round]:
-    """The rounds that count, by the latest ones."""
-    return not_refuted(rounds, float(np.median([r.known for r in rounds[-LATEST:]])))
+def counted(rounds: Sequence[Round]) -> Sequence[Round]:
+    """The rounds that count, by the latest ones; all where none foresaw what is known now."""
+    known = float(np.median([r.known for r in rounds[-LATEST:]]))
+    return not_refuted(rounds, known) or rounds
 
 
 def not_refuted(rounds: Sequence[Round], probability: float) -> list[Round]:
-    """The rounds whose pools hold as much crash mass as is now known, `probability`, or half."""
-    return [r for r in rounds if r.known >= MIN_PREDICTED * probability]
+    """The rounds that saw as much crash mass as is now known, `probability`, or half of it."""
+    return [r for r in rounds if min(r.known, r.predicted) >= MIN_PREDICTED * probability]
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:

@@ -121,8 +121,9 @@ def _survey(
     done = state.n_surveys + 1
     if surprise:
         state = replace(state, rounds=(), model=state.model.forgetting())
-    if whole and (not surprise or done >= MAX_SURVEYS):
-        state = replace(state, surveyed_for=target)
+    ended = whole and (not surprise or done >= MAX_SURVEYS)
+    if ended or surprise:
+        state = replace(state, surveyed_for=target if ended else math.inf)
     return replace(state, labels=labels, n_surveys=done, surprised=surprise)
 
 
