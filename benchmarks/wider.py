@@ -150,7 +150,6 @@ WIDER: Mapping[str, Callable[[], Benchmark]] = {
     "outside a ball, d = 3": lambda: outside_ball(3, 1e-4),
     "corner, d = 3": lambda: all_above(3, 1e-6),
     "corner, d = 4": lambda: all_above(4, 1e-8),
-    "corner, d = 5": lambda: all_above(5, 1e-6),
     "union, d = 3": lambda: any_above(3, 1e-6),
     "union, d = 5": lambda: any_above(5, 1e-5),
     "three half-planes": three_half_planes,

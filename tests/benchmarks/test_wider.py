@@ -56,7 +56,8 @@ def test_reference_is_what_simulation_finds(name):
 def test_every_wider_problem_is_checked():
     from wider import WIDER
 
-    assert set(WIDER) - set(WIDENED) == {"never", "never, no order"}
+    # widened traffic hardly reaches a corner of 1e-8; its kin in three variables is checked
+    assert set(WIDER) - set(WIDENED) == {"never", "never, no order", "corner, d = 4"}
 
 
 @pytest.mark.parametrize("name", ["never", "never, no order"])
