@@ -10,6 +10,7 @@ WIDENED = {
     "outside a ball, d = 2": 3.0,
     "outside a ball, d = 3": 2.5,
     "corner, d = 3": 2.5,
+    "corner, d = 4": 1.0,
     "union, d = 3": 2.5,
     "union, d = 5": 2.0,
     "three half-planes": 3.0,
@@ -22,6 +23,8 @@ WIDENED = {
     "half of the time, d = 4": 1.0,
     "wrong sign": 3.0,
 }
+# … and moved along every coordinate, where widened traffic hardly gets
+MOVED = {"corner, d = 4": 2.5}
 
 
 def problem(name):
@@ -30,13 +33,13 @@ def problem(name):
     return PROBLEMS[name]()
 
 
-def simulated(given, factor):
-    """The probability by importance sampling from widened traffic, and its standard error."""
+def simulated(given, factor, shift):
+    """The probability by importance sampling from widened, moved traffic; its standard error."""
     from crashrate.sampling.gaussians import Gaussians
 
     traffic, rng = given.traffic, np.random.default_rng(7)
     covariance = factor**2 * traffic.covariance[None]
-    proposal = Gaussians(np.ones(1), traffic.mean[None], covariance)
+    proposal = Gaussians(np.ones(1), traffic.mean[None] + shift, covariance)
     x = proposal.sample(N, rng)
     x = x[traffic.contains(x)]
     x = x[given.crash(x)]
@@ -48,7 +51,7 @@ def simulated(given, factor):
 @pytest.mark.parametrize("name", WIDENED)
 def test_reference_is_what_simulation_finds(name):
     given = problem(name)
-    estimate, error = simulated(given, WIDENED[name])
+    estimate, error = simulated(given, WIDENED[name], MOVED.get(name, 0.0))
     assert abs(estimate - given.probability) < 4 * error
     assert abs(estimate - 1.1 * given.probability) > 4 * error
 
@@ -56,8 +59,7 @@ def test_reference_is_what_simulation_finds(name):
 def test_every_wider_problem_is_checked():
     from wider import WIDER
 
-    # widened traffic hardly reaches a corner of 1e-8; its kin in three variables is checked
-    assert set(WIDER) - set(WIDENED) == {"never", "never, no order", "corner, d = 4"}
+    assert set(WIDER) - set(WIDENED) == {"never", "never, no order"}
 
 
 @pytest.mark.parametrize("name", ["never", "never, no order"])

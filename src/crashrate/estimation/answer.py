@@ -34,7 +34,7 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
     state = replace(state, rounds=rounds)
     c = combine(rounds, problem.confidence, state.least_inflation)
     n_runs = sum(r.n_runs for r in rounds)
-    around = _interval(problem, state, c, bounds[1])
+    around = c.lower, max(c.upper, trust(problem, state, c, bounds[1]).limit)
     return replace(
         start,
         probability=c.estimate,
@@ -73,14 +73,6 @@ def _consequences(
     return tuple(replace(f, interval=(f.interval[0], event[1])) for f in found)
 
 
-def _interval(problem: Problem, state: State, c: Combined, outer: float) -> tuple[float, float]:
-    upper = max(c.upper, trust(problem, state, c, outer).limit)
-    e = state.encounters
-    if e is not None and e.speak_against(c.upper):
-        upper = max(upper, e.interval(problem.confidence)[1])
-    return c.lower, upper
-
-
 def _stop(problem: Problem, state: State, c: Combined, event: tuple[float, float]) -> StopReason:
     aimed = _target(problem, state, c, event)
     if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, *aimed):
@@ -113,11 +105,7 @@ def doubts(
         Alarm.ORDER_DROPPED: state.dropped_at is not None,
         Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
         Alarm.NO_ORDER: problem.order is None or not state.ordered,
-        Alarm.ENCOUNTERS_DISAGREE: (
-            c is not None
-            and state.encounters is not None
-            and state.encounters.speak_against(c.upper)
-        ),
+        Alarm.ENCOUNTERS_DISAGREE: trusted.outvoted,
         Alarm.TOO_FEW_CRASHES: trusted.few,
         Alarm.UNSETTLED: trusted.unsettled,
         Alarm.CRASHES_UNFORESEEN: state.surprised,

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from crashrate.estimation.rounds import TINY, Round, at_least, predicted_variance
-from crashrate.estimation.selection import Drawn, IntArray
+from crashrate.estimation.selection import Drawn, IntArray, systematic
 from crashrate.estimation.view import View, normalised
 from crashrate.variables import FloatArray
 
@@ -112,9 +112,7 @@ def _kept(view: View) -> tuple[IntArray, FloatArray]:
         + BY_CHANCE * normalised(w * h**0.25)
         + BY_ALL / len(rows)
     )
-    edges = np.cumsum(likely)
-    ticks = (np.arange(N_KEPT) + 0.5) / N_KEPT * edges[-1]
-    at, times = np.unique(np.searchsorted(edges, ticks), return_counts=True)
+    at, times = np.unique(systematic(likely, N_KEPT, 0.5), return_counts=True)
     return rows[at], times / (N_KEPT * likely[at])
 
 
@@ -123,7 +121,7 @@ def reconsider(
 ) -> tuple[Round, ...]:
     """The rounds as known now; `hold` says what is held of risk coordinates (n, m)."""
     step = -(-len(rounds) * N_KEPT // N_IN_ALL)
-    designs = [r.design.every(max(step, 1)) for r in rounds if r.design is not None]
+    designs = [r.design.every(step) for r in rounds if r.design is not None]
     if not designs:
         return tuple(rounds)
     h = hold(np.concatenate([d.u for d in designs]))

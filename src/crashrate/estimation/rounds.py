@@ -228,7 +228,7 @@ class Combined:
 
 
 def combine(rounds: Sequence[Round], confidence: float, least: float = MIN_INFLATION) -> Combined:
-    """Rounds weighted by the inverse square of their predicted coefficient of variation.
+    """Rounds weighted by the inverse square of their coefficient of variation, as known now.
 
     (Not of the variance: a pool that happens to hold too little crash mass predicts a smaller
     variance and a lower estimate at once, and weights that prefer it bias the mean downwards. But a

@@ -91,10 +91,15 @@ def to_estimate(view: View, n: int, rng: np.random.Generator, towards: View | No
     if towards is not None:
         probabilities = DIRECTED * estimating(towards) + (1 - DIRECTED) * probabilities
     by_h = np.argsort(view.h, kind="stable")
-    edges = np.cumsum(probabilities[by_h])
-    ticks = (rng.random() + np.arange(n)) / n * edges[-1]
-    rows = by_h[np.minimum(np.searchsorted(edges, ticks), len(by_h) - 1)]
+    rows = by_h[systematic(probabilities[by_h], n, rng.random())]
     return Drawn(rows, probabilities)
+
+
+def systematic(likely: FloatArray, n: int, start: float) -> IntArray:
+    """`n` rows at equal steps of the sum of `likely` (N,), from the share `start` of a step on."""
+    edges = np.cumsum(likely)
+    ticks = (start + np.arange(n)) / n * edges[-1]
+    return np.asarray(np.minimum(np.searchsorted(edges, ticks), len(likely) - 1))
 
 
 def estimating(view: View) -> FloatArray:

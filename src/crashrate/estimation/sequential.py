@@ -80,11 +80,12 @@ def sequential(problem: Problem) -> Learner:
         state = state if closer is state else _distrust(closer, view)
         snapshot = answer(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING:  # the last outcomes have their say first
-            state = _reconsidered(state, *_fit(state))
+            fitted = _fit(state)
+            state = _reconsidered(state, *fitted)
             snapshot = answer(problem, state, view)
-        if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
-            state = yield from _survey(problem, state, snapshot)
-            snapshot = answer(problem, state, view)
+            if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
+                state = yield from _survey(problem, state, snapshot, *fitted)
+                snapshot = answer(problem, state, view)
         if outvoted(problem, state):
             # one crash among thirty encounters may be bad luck, or what the surrogate never saw:
             # more encounters tell, more rounds do not
@@ -106,12 +107,11 @@ def sequential(problem: Problem) -> Learner:
 
 
 def _survey(
-    problem: Problem, state: State, snapshot: Snapshot
+    problem: Problem, state: State, snapshot: Snapshot, surrogate: Surrogate, model: Model
 ) -> Generator[Query, FloatArray, State]:
     """Look at the emptiest places; what was estimated is void where a crash comes as a surprise."""
     rng, target = problem.rng(SURVEYS + 1 + state.n_surveys), problem.target_at(state.labels.n)
     running = replace(snapshot, stop_reason=StopReason.RUNNING)
-    surrogate, model = _fit(state)
     belief = Belief(state.labels, surrogate, model.standardise, state.proposal)
 
     def rivals() -> tuple[Surrogate, ...]:

@@ -2,13 +2,7 @@
 
 import math
 
-from crashrate.estimation.rounds import (
-    MIN_ROUNDS,
-    Combined,
-    combine,
-    draws_to,
-    predicted_variance,
-)
+from crashrate.estimation.rounds import MIN_ROUNDS, combine, draws_to, predicted_variance
 from crashrate.estimation.selection import estimating
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem
@@ -66,15 +60,8 @@ def last(problem: Problem, state: State, view: View) -> int | None:
         return None
     per_draw, of_pool = predicted_variance(view, estimating(view), 1), view.pool_variance
     so_far = combine(state.rounds, problem.confidence, state.least_inflation)
-    if _widened(problem, state, view, so_far):  # the rounds' own interval is not what stops it
-        return None
+    if trust(problem, state, so_far, view.bounds()[1]).limit > 0:
+        return None  # the rounds' own interval is not what stops it
     target = problem.target_at(state.labels.n)
     n = max(draws_to(target, so_far, per_draw, of_pool, problem.confidence), FEWEST)
     return math.ceil(n) if n <= size(problem, state) else None
-
-
-def _widened(problem: Problem, state: State, view: View, c: Combined) -> bool:
-    e = state.encounters
-    outer = view.bounds()[1] if state.ordered else 1.0
-    against = e is not None and e.speak_against(c.upper)
-    return against or trust(problem, state, c, outer).limit > 0
