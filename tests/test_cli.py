@@ -186,7 +186,7 @@ def test_target_met_leaves_with_0_and_the_sentence(small, quick):
     )
     assert len(done.stdout.splitlines()) == 1
     assert f"Alarm: {Alarm.WEIGHTS_CONCENTRATED}." in done.stderr
-    assert "Stopped: the target was met." in done.stderr
+    assert "Stopped: the target was met. Target ± 10 %, 12 of at most 20 runs taken." in done.stderr
     assert "ynthetic" not in done.output
     page = (small / "run" / "report.html").read_text()
     assert "per encounter, 95 % Monte Carlo interval" in page

@@ -50,7 +50,7 @@ Goal = StrEnum("Goal", ["PROBABILITY", "BOUNDS"])  # what the simulator runs are
 
 
 def _half_width(value: float | None) -> float | None:
-    from crashrate.runs.sections import HALF_WIDTH
+    from crashrate.estimation.strategy import HALF_WIDTH
 
     if value is not None and not 0 < value <= 1:
         raise typer.BadParameter(f"expected {HALF_WIDTH}, got {value}.")
@@ -227,9 +227,20 @@ def run(
         ),
     ] = None,
     relative_half_width: Annotated[
-        float | None, typer.Option(callback=_half_width, help="Target; the scenario's by default.")
+        float | None,
+        typer.Option(
+            callback=_half_width,
+            metavar="SHARE",
+            help="Target: half the interval over the estimate, 0.1 for ± 10 %.",
+            show_default="the scenario's, or 0.1",
+        ),
     ] = None,
-    max_calls: Annotated[int | None, typer.Option(min=1, help="Budget, likewise.")] = None,
+    max_calls: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Budget of simulator runs.", show_default="the scenario's, or 2000"
+        ),
+    ] = None,
     goal: Annotated[
         Goal | None, typer.Option(help="Target an estimate, or bounds if the risk order holds.")
     ] = None,

@@ -40,6 +40,10 @@ def what_came(array: npt.NDArray[np.generic]) -> str:
     return f"shape {array.shape} of dtype {array.dtype}"
 
 
+def _outcomes(n: int) -> str:
+    return "1 outcome, for 1 situation" if n == 1 else f"{n} outcomes, one per situation asked for"
+
+
 def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
     """What a campaign is told, as a table (n, 1 + K); without names, (n,) outcomes alone.
 
@@ -52,14 +56,12 @@ def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
         return outcome_table(told, n, names, "tell", InvalidInputError)
     if isinstance(told, Mapping):
         raise InvalidInputError(
-            f"tell: expected {n} outcomes, one per situation asked for, got a mapping; declare "
+            f"tell: expected {_outcomes(n)}, got a mapping; declare "
             "what it holds beside the event, as in consequences=('injury',)."
         )
     array = np.asarray(told)
     if array.shape != (n,):
-        raise InvalidInputError(
-            f"tell: expected {n} outcomes, one per situation asked for, got {what_came(array)}."
-        )
+        raise InvalidInputError(f"tell: expected {_outcomes(n)}, got {what_came(array)}.")
     if array.dtype.kind not in "biuf":
         raise InvalidInputError(
             f"tell: expected True, False or NaN (failed), got dtype {array.dtype}, such as "

@@ -34,9 +34,15 @@ def print_result(result: dict[str, Any], output: Format) -> None:
     if output is Format.JSON:
         typer.echo(json.dumps(result, indent=2, ensure_ascii=False))
         return
-    from crashrate.estimation.alarms import StopReason
-
     _print_answers(result)
+    _print_doubts(result)
+
+
+def _print_answers(result: Mapping[str, Any]) -> None:
+    """The event's probability, below it what it leads to, and what else was found."""
+    typer.echo(result["sentence"])
+    for consequence in result.get("consequences", ()):
+        typer.echo(consequence["sentence"])
     if audit := result.get("order_audit"):
         typer.echo(audit["sentence"])
     if traffic_range := result.get("traffic_range"):
@@ -46,15 +52,23 @@ def print_result(result: dict[str, Any], output: Format) -> None:
             typer.echo(sentence)
         if pending := recordings.get("pending"):
             typer.echo(f"Note: {pending}.", err=True)
+
+
+def _print_doubts(result: Mapping[str, Any]) -> None:
+    """How the run stands, and its alarms, on standard error."""
+    from crashrate.estimation.alarms import StopReason
+
     if result["synthetic"]:
         typer.echo(
             "Synthetic: the traffic model was fitted to drawn, not recorded, events.", err=True
         )
-    typer.echo(_how_it_stands(result), err=True)
+    typer.echo(_how_it_stands(result) + _what_was_asked(result), err=True)
     if result["stop_reason"] == StopReason.BUDGET_ENDED.value:
         typer.echo("The same command with a larger --max-calls goes on from here.", err=True)
     for alarm in result["alarms"]:
         typer.echo(f"Alarm: {alarm['message']}.", err=True)
+    if found := result.get("order_suspect"):
+        typer.echo(f"Note: {found['sentence']}.", err=True)
 
 
 def _how_it_stands(result: Mapping[str, Any]) -> str:
@@ -66,11 +80,15 @@ def _how_it_stands(result: Mapping[str, Any]) -> str:
     return UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}."
 
 
-def _print_answers(result: Mapping[str, Any]) -> None:
-    """The event's probability, and below it what it leads to."""
-    typer.echo(result["sentence"])
-    for consequence in result.get("consequences", ()):
-        typer.echo(consequence["sentence"])
+def _what_was_asked(result: Mapping[str, Any]) -> str:
+    """The target and the budget; nothing of a run by an earlier version that does not say."""
+    if not (target := result.get("target")):
+        return ""
+    about = f" for {target['aim']}" if target.get("aim") else ""
+    return (
+        f" Target ± {100 * target['relative_half_width']:.3g} %{about}, "
+        f"{result['n_calls']:,} of at most {target['max_calls']:,} runs taken."
+    )
 
 
 def print_fit(model: "TrafficModel") -> None:

@@ -114,6 +114,8 @@ def test_no_order(cases):
 
 
 SEEN = Snapshot(probability=0.1)
+ENDED = replace(SEEN, stop_reason=StopReason.BUDGET_ENDED)
+TURNED_ROUND = (Alarm.NEARLY_ALL_CRASH, Alarm.NO_ORDER)  # what is worse comes first
 INJURY = Consequence(
     name="injury",
     mean=0.05,
@@ -133,10 +135,19 @@ INJURY = Consequence(
         (Snapshot(), 9, 0, ()),
         (SEEN, 0, 0, ()),
         (SEEN, 10, 1, (Alarm.SIMULATIONS_FAILED,)),
-        (replace(SEEN, stop_reason=StopReason.BUDGET_ENDED), 10, 0, (Alarm.TARGET_NOT_REACHED,)),
+        (ENDED, 10, 0, (Alarm.TARGET_NOT_REACHED,)),
+        (replace(ENDED, interval=(0.095, 0.105)), 10, 0, (Alarm.TARGET_UNCHECKED,)),
+        (replace(ENDED, interval=(0.08, 0.12)), 10, 0, (Alarm.TARGET_NOT_REACHED,)),
+        (
+            replace(ENDED, interval=(0.095, 0.105), consequences=(replace(INJURY, aimed=True),)),
+            10,
+            0,
+            (Alarm.TARGET_NOT_REACHED,),
+        ),
         (replace(SEEN, stop_reason=StopReason.TARGET_MET), 10, 0, ()),
         (Snapshot(probability=0.95), 10, 0, (Alarm.NEARLY_ALL_CRASH,)),
         (Snapshot(probability=0.6), 10, 0, ()),
+        (replace(SEEN, alarms=(Alarm.NO_ORDER,), probability=0.95), 10, 0, TURNED_ROUND),
         (replace(SEEN, consequences=(INJURY,)), 10, 0, ()),
         (
             replace(SEEN, consequences=(INJURY, replace(INJURY, n_carrying=9))),
@@ -150,11 +161,29 @@ INJURY = Consequence(
             0,
             (Alarm.CONSEQUENCE_UNDETERMINED,),
         ),
+        (
+            replace(SEEN, consequences=(replace(INJURY, interval=(0.0, 0.06)),)),
+            10,
+            0,
+            (Alarm.CONSEQUENCE_UNDETERMINED,),
+        ),
+        (replace(SEEN, consequences=(replace(INJURY, interval=(0, 0.06), aimed=True),)), 10, 0, ()),
+        (
+            replace(SEEN, consequences=(replace(INJURY, largest_weight_share=0.3, aimed=True),)),
+            10,
+            0,
+            (Alarm.CONSEQUENCE_UNDETERMINED,),
+        ),
     ],
 )
 def test_alarms_of_the_outcomes(snapshot, crashes, failed, expected):
     y = np.concatenate([np.ones(crashes), np.zeros(5), np.full(failed, np.nan)])
-    assert _alarms(snapshot, y, crashes) == expected
+    assert _alarms(snapshot, y, 0.1) == expected
+
+
+def test_all_failed():
+    assert _alarms(Snapshot(), np.full(3, np.nan), 0.1) == (Alarm.ALL_FAILED,)
+    assert _alarms(Snapshot(), np.empty(0), 0.1) == ()
 
 
 def test_no_crash_found(cases, small):  # noqa: ARG001

@@ -71,8 +71,8 @@ def test_ask_when_done_names_the_remedy(case):
 @pytest.mark.parametrize(
     ("outcomes", "message"),
     [
-        ([], "expected 1 outcomes"),
-        ([0, 1], r"expected 1 outcomes.*\(2,\)"),
+        ([], "expected 1 outcome"),
+        ([0, 1], r"expected 1 outcome.*\(2,\)"),
         ([[0]], r"got shape \(1, 1\)"),
         ([0.5], r"got 0\.5 at row 0"),
         ([-1], r"True, False or NaN"),
@@ -91,7 +91,7 @@ def test_outcomes_are_checked_and_can_be_told_again(case, outcomes, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"relative_half_width": 0}, "relative_half_width: expected a positive number, got 0"),
+        ({"relative_half_width": 0}, "relative_half_width: expected a number above 0 .*, got 0"),
         ({"max_calls": 0}, "max_calls: expected at least 1, got 0"),
         ({"confidence": 1.0}, "confidence: expected a number between 0 and 1"),
         ({"confidence": 95}, "confidence: expected a number between 0 and 1"),
@@ -205,7 +205,7 @@ def test_a_simulator_that_only_fails_is_given_up(case):
     assert got.n_failed == got.n_calls == 20
     assert got.stop_reason is StopReason.ALL_FAILED
     assert got.interval == (0.0, 1.0)
-    assert Alarm.SIMULATIONS_FAILED in got.alarms
+    assert got.alarms == (Alarm.ALL_FAILED,)
     assert "all 20 simulations failed" in got.sentence()
 
 
@@ -231,8 +231,36 @@ def test_estimate_without_an_order(case):
 
 
 def test_a_simulator_that_returns_something_else(case):
-    with pytest.raises(InvalidInputError, match="expected 1 outcomes"):
+    with pytest.raises(InvalidInputError, match="expected 1 outcome, for 1 situation"):
         crashrate.estimate(lambda x: np.zeros((len(x), 2)), case.traffic, risk=case.risk)
+
+
+def test_what_a_simulator_raises_comes_with_where(case):
+    calls = iter(range(100))
+
+    def simulate(x):
+        if next(calls) == 3:
+            raise ZeroDivisionError("in the vehicle")
+        return case.crash(x)
+
+    with pytest.raises(ZeroDivisionError, match="in the vehicle") as raised:
+        crashrate.estimate(simulate, case.traffic, risk=case.risk)
+    (note,) = raised.value.__notes__
+    assert "after 3 outcomes, at situations of shape (1, 2)" in note
+
+
+def test_arguments_in_another_order(case):
+    with pytest.raises(InvalidInputError, match="got TrafficModel; the traffic model comes second"):
+        crashrate.estimate(case.traffic, case.crash)
+    with pytest.raises(InvalidInputError, match=r"simulate: expected a function.*got int"):
+        crashrate.estimate(3, case.traffic)
+    with pytest.raises(InvalidInputError, match=r"risk: expected a mapping .*got str"):
+        crashrate.estimate(case.crash, case.traffic, risk="increasing")
+
+
+def test_a_target_above_one_is_none(case):
+    with pytest.raises(InvalidInputError, match=r"up to 1 .*got 10"):
+        case.campaign(relative_half_width=10)
 
 
 def test_derived_coordinates_as_function_and_as_expression(case):

@@ -41,8 +41,33 @@ def test_crude_monte_carlo_calls():
     p = ANSWER.probability
     assert 1.959964 * math.sqrt(p * (1 - p) / n) == pytest.approx(ANSWER.half_width, rel=1e-6)
     assert ANSWER.acceleration == pytest.approx(n / 100)
-    assert NOTHING.crude_monte_carlo_calls == math.inf
+    assert math.isnan(NOTHING.crude_monte_carlo_calls)
     assert math.isnan(replace(ANSWER, n_calls=0).acceleration)
+
+
+@pytest.mark.parametrize("interval", [(0.0, 4.1e-6), (0.0, 16 * 2e-6), (2e-6, 2e-6)])
+def test_nothing_is_compared_with_an_interval_that_is_none(interval):
+    wide = replace(ANSWER, interval=interval)
+    assert math.isnan(wide.crude_monte_carlo_calls)
+    assert math.isnan(wide.acceleration)
+    assert "crude" not in wide.sentence()
+    assert wide.to_dict()["crude_monte_carlo_calls"] is None
+    assert "crude" in replace(ANSWER, interval=(0.1e-6, 3.9e-6)).sentence()
+
+
+def test_an_estimate_near_one_is_said_by_its_distance_to_one():
+    near = replace(ANSWER, probability=1 - 2e-3, interval=(1 - 3e-3, 1.0))
+    assert near.sentence() == (
+        "P(crash) = 1 - 2.0e-03 per encounter, 95 % Monte Carlo interval [1 - 3.0e-03, 1]; "
+        "100 simulator runs; crude Monte Carlo would need 3,400"
+    )
+
+
+def test_undetermined_is_said_in_the_record_too():
+    unseen = replace(NOTHING, probability=0.0, n_crashes=0)
+    assert not unseen.to_dict()["determined"]
+    assert not NOTHING.to_dict()["determined"]
+    assert ANSWER.to_dict()["determined"]
 
 
 def test_a_wider_confidence_asks_for_more_crude_runs():
@@ -55,7 +80,9 @@ def test_sentence():
         "P(crash) = 2.0e-06 per encounter, 95 % Monte Carlo interval [1.8e-06, 2.2e-06] "
         "(± 10 %); 100 simulator runs; crude Monte Carlo would need 190 million"
     )
-    assert NOTHING.sentence() == "P(crash) has no estimate yet; 100 simulator runs"
+    assert NOTHING.sentence() == (
+        "P(crash) has no estimate yet; 100 simulator runs, 40 of them crashed"
+    )
     unseen = replace(NOTHING, probability=0.0, n_crashes=0)
     assert "no crash was seen; 100 simulator runs" in unseen.sentence()
     bounded = replace(unseen, interval=(0.0, 0.02))

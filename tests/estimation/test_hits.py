@@ -112,7 +112,7 @@ def test_where_simulations_fail_may_be_crashes(toy_view):
 def told(cases, view, outcomes, n):
     """What a campaign answers after three rounds of `n` draws of this view."""
     order = RiskOrder.from_mapping(cases.increasing(2), ("a", "b"))
-    problem = Problem(traffic=cases.standard_normal(2), order=order, relative_half_width=10.0)
+    problem = Problem(traffic=cases.standard_normal(2), order=order, relative_half_width=1.0)
     rng = np.random.default_rng(6)
     drawn = [to_estimate(view, n, rng) for _ in range(3)]
     rounds = tuple(measure(view, d, outcomes[d.rows]) for d in drawn)

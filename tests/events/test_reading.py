@@ -98,6 +98,14 @@ def test_a_row_with_two_faults_counts_once(tmp_path):
     assert sum(table.dropped.values()) + len(table) == table.n_read == 4
 
 
+def test_a_table_without_names_is_told_so(tmp_path):
+    with pytest.raises(EventsError, match="add a row of names above it"):
+        read_events(write(tmp_path, "10,0.2,0.1\n12,0.3,0.2\n"), VARIABLES, {})
+    with pytest.raises(EventsError) as refused:
+        read_events(write(tmp_path), VARIABLES, {})
+    assert "row of names" not in str(refused.value)
+
+
 def test_text_deep_in_a_column_of_numbers_is_found(tmp_path):
     n = 100_000  # beyond the block from which a type would be guessed
     lines = [f"10,50,-{k % 50 + 1}" for k in range(n)]

@@ -6,6 +6,7 @@ import pytest
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.order_audit import OrderAudit
+from crashrate.estimation.suspect import Suspect
 from crashrate.reports.axes import units_of
 from crashrate.reports.evidence import evidence
 from crashrate.reports.likeliest import likeliest_crashes
@@ -114,6 +115,17 @@ def test_bounds_and_their_audit_come_back_and_are_evidence(build, estimate):
     assert facts["Audit of the order"].value == "1 of 40 contradict it"
     meaning = facts["Audit of the order"].meaning.replace("\u00a0", " ")
     assert "at least 9.0 × 10⁻⁷ whatever the order" in meaning
+
+
+def test_a_suspect_direction_comes_back_and_is_evidence(build, estimate):
+    found = Suspect("range", 187, 44, 0)
+    e = estimate(order_suspect=found)
+    back = estimate_of(json.loads(json.dumps(e.to_dict())))
+    assert back.order_suspect == found
+    facts = {f.name: f for f in evidence(build(estimate=e), e)}
+    assert facts["Suspect direction"].value == "range"
+    assert facts["Suspect direction"].meaning.startswith("Look at the direction of range first")
+    assert "Suspect direction" not in {f.name for f in evidence(build(), estimate())}
 
 
 def test_evidence_without_an_order_claims_no_bounds(build, estimate):

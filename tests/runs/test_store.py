@@ -1,3 +1,4 @@
+import re
 import sqlite3
 
 import numpy as np
@@ -103,3 +104,14 @@ def test_store_that_cannot_be_written_is_told_in_plain_words(store, monkeypatch)
         with pytest.raises(StoreError, match="this run folder cannot be written"):
             locked.set_config("target", "other")
         assert locked.n_runs() == store.n_runs()
+
+
+def test_what_is_in_the_place_of_a_run_folder_is_said(store):
+    above = store.directory.parent
+    for place, found in (
+        (above / "nix", "found no such folder; start one"),
+        (store.directory / "campaign.sqlite", "found a file; start one"),
+        (above, f"but in {store.directory}; name one of them"),
+    ):
+        with pytest.raises(StoreError, match=re.escape(found)):
+            RunStore.open(place)

@@ -93,6 +93,11 @@ class RiskOrder:
             If `risk` is empty, names an unknown variable (the nearest is suggested), or gives
             something that is not a direction.
         """
+        if not isinstance(risk, Mapping):
+            raise InvalidInputError(
+                "risk: expected a mapping such as {'v_lead': 'decreasing'}, got "
+                f"{type(risk).__name__}."
+            )
         if not risk:
             raise InvalidInputError(
                 "risk: expected at least one coordinate such as {'v_lead': 'decreasing'}; "

@@ -79,8 +79,8 @@ class Alarm(StrEnum):
         "the bounds say nothing"
     )
     CONSEQUENCE_UNDETERMINED = (
-        "too few simulator runs had one of the consequences, or a few of them carry most of it: "
-        "its interval is rough; aim at it to know more"
+        "too few simulator runs had one of the consequences, or one of them moves it by more than "
+        "a quarter, or its interval is wider than half of it to either side: aim at it to know more"
     )
     ENCOUNTERS_DISAGREE = (
         "random encounters crash far more often than the estimate allows: the interval was widened "
@@ -96,8 +96,14 @@ class Alarm(StrEnum):
         "crash and as safe, and likewise with regions in which all runs failed; it narrows where "
         "fewer of them fail"
     )
-    TARGET_NOT_REACHED = (
-        "the budget ended before the target was reached, or before what it rests on was checked"
+    ALL_FAILED = (
+        "every simulation failed: run the simulator on one of the situations that were asked for "
+        "and look at what it returns; NaN says that it failed"
+    )
+    TARGET_NOT_REACHED = "the budget ended before the target was reached"
+    TARGET_UNCHECKED = (
+        "the interval is as narrow as was asked, but the budget ended before what it rests on was "
+        "checked: a few more runs would do that"
     )
 
 

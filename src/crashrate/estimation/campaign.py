@@ -14,6 +14,7 @@ from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.estimation.methods import TELL_MEMBERS, declared, method_for
 from crashrate.estimation.strategy import Problem, Query, Snapshot, unknown
+from crashrate.estimation.suspect import Suspect, suspect
 from crashrate.outcomes import Told, told_table
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray, as_rows
@@ -38,7 +39,8 @@ class Campaign:
     seed : int
         The campaign is a function of the configuration, the seed and the outcomes.
     relative_half_width : float
-        Target: half the interval over the estimate.
+        Target: half the interval over the estimate, up to 1. By the method "sequential" a wider
+        target than 0.5 takes as many runs as 0.5: a wider interval is not believed to be one.
     max_calls : int
         Budget of simulator runs.
     confidence : float
@@ -106,7 +108,7 @@ class Campaign:
                 f"{type(traffic).__name__}."
             )
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
-        self._traffic = traffic
+        self._traffic, self._order = traffic, order
         # methods work where the components are normal; situations come out in the variables' units
         modelled = traffic.modelled if method in TELL_MEMBERS else _best_fit(traffic, method)
         self._problem = Problem(
@@ -255,7 +257,7 @@ class Campaign:
             n_eff=s.n_eff,
             largest_weight_share=s.largest_weight_share,
             log_efficiency=s.log_efficiency,
-            alarms=_alarms(s, y, n_crashes),
+            alarms=_alarms(s, y, self._problem.relative_half_width),
             stop_reason=s.stop_reason,
             method=self._method,
             seed=self._problem.seed,
@@ -263,6 +265,7 @@ class Campaign:
             traffic_range=s.traffic_range,
             goal=self._goal,
             order_audit=s.order_audit,
+            order_suspect=self._suspect(),
             consequences=s.consequences or unknown(self._problem, s, self.consequences),
         )
 
@@ -312,6 +315,10 @@ class Campaign:
             self._pending = self._traffic.from_modelled(query.x)
             self._snapshot = query.snapshot
 
+    def _suspect(self) -> Suspect | None:
+        against = {Alarm.ORDER_CONTRADICTED, Alarm.ORDER_DROPPED} & set(self._snapshot.alarms)
+        return suspect(self._order, self.x, self.outcomes) if self._order and against else None
+
     def _history_point(self) -> HistoryPoint:
         s = self._snapshot
         return HistoryPoint(self.n_calls, s.probability, *s.interval, s.phase)
@@ -330,16 +337,29 @@ def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
     return replace(traffic.modelled, members=())
 
 
-def _alarms(s: Snapshot, y: FloatArray, n_crashes: int) -> tuple[Alarm, ...]:
-    found = list(s.alarms)
-    if np.isnan(y).any():
-        found.append(Alarm.SIMULATIONS_FAILED)
-    if 0 < n_crashes < MIN_CRASHES and np.isfinite(s.probability):
-        found.append(Alarm.TOO_FEW_CRASHES)
-    if not all(c.determined for c in s.consequences):
-        found.append(Alarm.CONSEQUENCE_UNDETERMINED)
-    if s.probability > NEARLY_ALL:
-        found.append(Alarm.NEARLY_ALL_CRASH)
-    if s.stop_reason is StopReason.BUDGET_ENDED:
-        found.append(Alarm.TARGET_NOT_REACHED)
-    return tuple(dict.fromkeys(found))
+def _alarms(s: Snapshot, y: FloatArray, target: float) -> tuple[Alarm, ...]:
+    """The method's, and those that hold for any: first what is wrong with the simulator."""
+    n_crashes, n_failed = (int(np.count_nonzero(some)) for some in (y == 1, np.isnan(y)))
+    ended, narrow = s.stop_reason is StopReason.BUDGET_ENDED, _narrow(s, target)
+    first = {
+        Alarm.ALL_FAILED: 0 < n_failed == len(y),
+        Alarm.NEARLY_ALL_CRASH: s.probability > NEARLY_ALL,
+    }
+    last = {
+        Alarm.SIMULATIONS_FAILED: 0 < n_failed < len(y),
+        Alarm.TOO_FEW_CRASHES: 0 < n_crashes < MIN_CRASHES and np.isfinite(s.probability),
+        Alarm.CONSEQUENCE_UNDETERMINED: any(c.rough for c in s.consequences),
+        Alarm.TARGET_NOT_REACHED: ended and not narrow,
+        Alarm.TARGET_UNCHECKED: ended and narrow,
+    }
+    before, after = ([a for a in some if some[a]] for some in (first, last))
+    return tuple(dict.fromkeys((*before, *s.alarms, *after)))
+
+
+def _narrow(s: Snapshot, target: float) -> bool:
+    """Whether the interval that the target is for is as narrow as was asked."""
+    aimed = next((c for c in s.consequences if c.aimed), None)
+    number, (low, high) = (
+        (s.probability, s.interval) if aimed is None else (aimed.mean, aimed.interval)
+    )
+    return number > 0 and (high - low) / 2 <= target * number

@@ -3,8 +3,11 @@
 import math
 from dataclasses import dataclass
 
+from crashrate.estimation.alarms import SHARE_LIMIT
+
 MIN_N_EFF = 5.0  # below it, the runs do not determine a consequence
 MIN_CARRYING = 10  # nor if fewer runs had it
+ROUGH = 0.5  # an interval of more to either side is no more than a first idea
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,13 @@ class Consequence:
     def determined(self) -> bool:
         """Whether enough runs had it for the interval to rest on them."""
         return self.n_eff >= MIN_N_EFF and self.n_carrying >= MIN_CARRYING
+
+    @property
+    def rough(self) -> bool:
+        """Whether more should be known of it before it is used, but for what a target asked for."""
+        concentrated = self.largest_weight_share > SHARE_LIMIT
+        wide = self.relative_half_width > ROUGH and not self.aimed
+        return not self.determined or concentrated or wide
 
     def sentence(self, per: str = "encounter") -> str:
         """The answer in one sentence."""

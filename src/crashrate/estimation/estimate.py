@@ -7,9 +7,11 @@ from typing import Any
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.order_audit import OrderAudit
+from crashrate.estimation.suspect import Suspect
 from crashrate.estimation.traffic_range import TrafficRange
 
 SCHEMA = "crashrate.result/1"
+NEAR_ONE = 0.99  # an estimate above it is said by its distance to 1
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,9 @@ class Estimate:
         no interval (0, 1): the answer is `bounds`, if the risk order holds.
     order_audit : OrderAudit or None
         How much of what the order implies can be wrong; at the end of a campaign for bounds.
+    order_suspect : Suspect or None
+        The declared direction to look at first, where outcomes contradict the order and reversing
+        one direction would leave few of them against it.
     consequences : tuple of Consequence
         Expectations per encounter of the declared consequences, in their order.
     """
@@ -86,6 +91,7 @@ class Estimate:
     traffic_range: TrafficRange | None = None
     goal: str = "probability"
     order_audit: OrderAudit | None = None
+    order_suspect: Suspect | None = None
     consequences: tuple[Consequence, ...] = ()
 
     @property
@@ -104,14 +110,24 @@ class Estimate:
         return self.half_width / self.probability if self.probability > 0 else math.inf
 
     @property
+    def determined(self) -> bool:
+        """Whether there is an estimate: until a crash was seen, there is its upper end alone."""
+        return self.probability > 0
+
+    @property
     def crude_monte_carlo_calls(self) -> float:
-        """Crude Monte Carlo runs that give the same half-width (paper, §VI: std of the mean)."""
-        if not self.probability > 0 or self.half_width == 0:
-            return math.inf
+        """Crude Monte Carlo runs that give the same half-width (paper, §VI: std of the mean).
+
+        NaN where there is nothing to compare: an interval wider than its estimate to either side,
+        which is no normal one, or an estimate so near to 1 that the formula asks for no run.
+        """
+        if not 0 < self.relative_half_width <= 1:
+            return math.nan
         from scipy.special import ndtri
 
         z = float(ndtri(0.5 + self.confidence / 2))
-        return z**2 * self.probability * (1 - self.probability) / self.half_width**2
+        calls = z**2 * self.probability * (1 - self.probability) / self.half_width**2
+        return calls if calls >= 1 else math.nan
 
     @property
     def acceleration(self) -> float:
@@ -125,15 +141,19 @@ class Estimate:
         return f"{self._head(event, per)}{self._around()}; {self._runs()}{self._crude()}"
 
     def _around(self) -> str:
-        if self.interval == (0.0, 1.0) and not self.probability > 0:
+        if self.interval == (0.0, 1.0) and not self.determined:
             return ""  # nothing is known, and no interval says so better
-        low, high = self.interval
-        interval = f"{100 * self.confidence:g} % Monte Carlo interval [{low:.1e}, {high:.1e}]"
+        low, high = (_number(end, self.probability) for end in self.interval)
+        interval = f"{100 * self.confidence:g} % Monte Carlo interval [{low}, {high}]"
         return f", {interval}{self._relative()}"
 
     def _runs(self) -> str:
-        failed = f", {self.n_failed} of them failed" if self.n_failed else ""
-        return f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}{failed}"
+        text = f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}"
+        if self.n_crashes and not self.determined and self.goal == "probability":
+            text += f", {self.n_crashes} of them crashed"
+        if 0 < self.n_failed < self.n_calls:
+            text += f", {self.n_failed} of them failed"
+        return text
 
     def _bracket(self, event: str, per: str) -> str:
         low, high = self.bounds
@@ -151,8 +171,8 @@ class Estimate:
         return "no outcome implies any other yet"
 
     def _head(self, event: str, per: str) -> str:
-        if self.probability > 0:
-            return f"P({event}) = {self.probability:.1e} per {per}"
+        if self.determined:
+            return f"P({event}) = {_number(self.probability, self.probability)} per {per}"
         if 0 < self.n_calls == self.n_failed:
             return f"P({event}) is not determined: all {self.n_calls} simulations failed"
         if self.n_crashes:
@@ -161,13 +181,12 @@ class Estimate:
 
     def _relative(self) -> str:
         relative = self.relative_half_width
-        return f" (± {100 * relative:.0f} %)" if relative <= 1 else ""
+        near_one = self.probability > NEAR_ONE  # where the distance to 1 is what is uncertain
+        return f" (± {100 * relative:.0f} %)" if relative <= 1 and not near_one else ""
 
     def _crude(self) -> str:
         calls = self.crude_monte_carlo_calls
-        if not 1 <= calls < math.inf:
-            return ""
-        return f"; crude Monte Carlo would need {in_words(calls)}"
+        return "" if math.isnan(calls) else f"; crude Monte Carlo would need {in_words(calls)}"
 
     def to_dict(self, per: str = "encounter") -> dict[str, Any]:
         """The estimate as JSON-ready values; numbers that are not finite become None.
@@ -176,6 +195,7 @@ class Estimate:
         """
         record = asdict(self) | {
             "schema": SCHEMA,
+            "determined": self.determined,
             "relative_half_width": self.relative_half_width,
             "crude_monte_carlo_calls": self.crude_monte_carlo_calls,
             "acceleration": self.acceleration,
@@ -184,9 +204,17 @@ class Estimate:
             "traffic_range": self.traffic_range and self.traffic_range.to_dict(),
             "bounds_factor": self.bounds_factor,
             "order_audit": self.order_audit and self.order_audit.to_dict(self.bounds),
+            "order_suspect": self.order_suspect and self.order_suspect.to_dict(),
             "consequences": [c.to_dict(per) for c in self.consequences],
         }
         return {key: json_ready(value) for key, value in record.items()}
+
+
+def _number(value: float, probability: float) -> str:
+    """A probability beside the estimate, to two digits: of its distance to 1 where that is near."""
+    if probability <= NEAR_ONE:
+        return f"{value:.1e}"
+    return "1" if value == 1 else f"1 - {1 - value:.1e}"
 
 
 def in_words(number: float) -> str:

@@ -49,11 +49,14 @@ def estimate(
     Raises
     ------
     InvalidInputError
-        If an argument is not as described, or `simulate` returns something else.
+        If an argument is not as described, or `simulate` returns something else. What `simulate`
+        itself raises is passed on, with a note of the situations it was given.
     """
     if not callable(simulate):
+        swapped = "; the traffic model comes second" * isinstance(simulate, TrafficModel)
         raise InvalidInputError(
-            f"simulate: expected a function of situations (n, d), got {simulate!r}."
+            "simulate: expected a function of situations (n, d), got "
+            f"{type(simulate).__name__}{swapped}."
         )
     campaign = Campaign(
         traffic,
@@ -69,7 +72,20 @@ def estimate(
         aim=aim,
     )
     while not campaign.done:
-        campaign.tell(simulate(campaign.ask()))
+        campaign.tell(_simulated(simulate, campaign))
         if on_batch is not None:
             on_batch(campaign)
     return campaign.estimate()
+
+
+def _simulated(simulate: Callable[[FloatArray], Told], campaign: Campaign) -> Told:
+    x = campaign.ask()
+    try:
+        return simulate(x)
+    except Exception as error:
+        error.add_note(
+            f"crashrate: `simulate` raised this after {campaign.n_calls} outcomes, at situations "
+            f"of shape {x.shape}, the first of them {x[0].tolist()}. Let it return NaN for a "
+            "simulation that failed; `crashrate run` stores outcomes and goes on where it stopped."
+        )
+        raise

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from crashrate.estimation.belief import Belief
     from crashrate.estimation.order_audit import OrderAudit
 
+HALF_WIDTH = "a number above 0 and up to 1 (0.1 means ± 10 %)"
 NUMBERS = {
     "relative_half_width": Real,
     "max_calls": Integral,
@@ -88,7 +89,7 @@ class Problem:
                 expected = "an integer" if kind is Integral else "a number"
                 raise InvalidInputError(f"{name}: expected {expected}, got {value!r}.")
         checks = (
-            (self.relative_half_width > 0, "relative_half_width", "a positive number"),
+            (0 < self.relative_half_width <= 1, "relative_half_width", HALF_WIDTH),
             (self.max_calls >= 1, "max_calls", "at least 1"),
             (0 < self.confidence < 1, "confidence", "a number between 0 and 1"),
             (self.batch_size >= 1, "batch_size", "at least 1"),

@@ -91,7 +91,7 @@ def _expression(path: Path, source: Source, name: str, text: str | None) -> Expr
         raise EventsError(
             f"{path}: no column {name!r}{nearest(name, source.names)}; where the file calls it "
             "otherwise, or it can be computed, say so under [events.columns], such as "
-            f'{name} = "{_first_name(source)} / 3.6".'
+            f'{name} = "{_first_name(source)} / 3.6".{_without_header(source)}'
         )
     usable = tuple(column for column in source.names if column.isidentifier())
     try:
@@ -104,6 +104,21 @@ def _expression(path: Path, source: Source, name: str, text: str | None) -> Expr
             f"constant {expression.text!r}."
         )
     return Expression(expression.text, expression.used)
+
+
+def _without_header(source: Source) -> str:
+    """A hint where the names are numbers: the first row of a table without names was taken."""
+    if not source.names or not all(map(_is_number, source.names)):
+        return ""
+    return " The first row is taken for the columns' names: add a row of names above it."
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _first_name(source: Source) -> str:

@@ -66,6 +66,7 @@ def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
             _bounds_meaning(e) if has_bounds else "Nothing is implied about other situations.",
         ),
         *_order_audit(e),
+        *_order_suspect(e),
     )
 
 
@@ -73,6 +74,15 @@ def _undetermined(e: Estimate) -> str:
     return (
         "not estimated: the runs went into its bounds" if e.goal == "bounds" else "not determined"
     )
+
+
+def _order_suspect(e: Estimate) -> tuple[Fact, ...]:
+    found = e.order_suspect
+    if found is None:
+        return ()
+    name = found.coordinate
+    meaning = f"{found.sentence()[0].upper()}{found.sentence()[1:]}."
+    return (Fact("Suspect direction", name, meaning),)
 
 
 def _order_audit(e: Estimate) -> tuple[Fact, ...]:
@@ -168,20 +178,16 @@ def _quality(e: Estimate) -> tuple[Fact, ...]:
 
 
 def accelerates(e: Estimate) -> bool:
-    """Whether crude Monte Carlo would need more runs, for an interval that is one.
-
-    An interval wider than the estimate says nothing on which methods could be compared.
-    """
-    return is_number(e.acceleration) and e.acceleration > 1 and e.relative_half_width <= 1
+    """Whether crude Monte Carlo would need more runs."""
+    return e.acceleration > 1  # NaN where there is no comparison
 
 
 def _efficiency(e: Estimate) -> tuple[Fact, ...]:
     calls = e.crude_monte_carlo_calls
-    comparable = is_number(calls) and calls >= 1 and e.relative_half_width <= 1
     return (
         Fact(
             "Crude Monte Carlo",
-            f"{in_words(calls)} runs" if comparable else MISSING,
+            f"{in_words(calls)} runs" if is_number(calls) else MISSING,
             "Random encounters needed for an interval as narrow.",
         ),
         Fact(

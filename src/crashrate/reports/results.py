@@ -3,15 +3,18 @@
 import math
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.estimate import Estimate, HistoryPoint
 from crashrate.estimation.order_audit import OrderAudit
+from crashrate.estimation.suspect import Suspect
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.reports.numbers import is_number, number
+
+Part = TypeVar("Part", OrderAudit, Suspect)
 
 
 def estimate_of(result: Mapping[str, Any]) -> Estimate:
@@ -56,7 +59,8 @@ def _estimate(result: Mapping[str, Any]) -> Estimate:
         history=tuple(_point(p) for p in result.get("history", ())),
         traffic_range=_range(result.get("traffic_range")),
         goal=str(result.get("goal", "probability")),
-        order_audit=_audit(result.get("order_audit")),
+        order_audit=_part(OrderAudit, result.get("order_audit")),
+        order_suspect=_part(Suspect, result.get("order_suspect")),
         consequences=tuple(map(_consequence, result.get("consequences", ()))),
     )
 
@@ -74,10 +78,10 @@ def _consequence(found: Mapping[str, Any]) -> Consequence:
     )
 
 
-def _audit(found: Mapping[str, Any] | None) -> OrderAudit | None:
+def _part(kind: type[Part], found: Mapping[str, Any] | None) -> Part | None:
     if found is None:
         return None
-    return OrderAudit(**{field.name: found[field.name] for field in fields(OrderAudit)})
+    return kind(**{field.name: found[field.name] for field in fields(kind)})
 
 
 def _range(found: Mapping[str, Any] | None) -> TrafficRange | None:

@@ -42,7 +42,8 @@ def require_same_variables(scenario: Scenario, traffic: TrafficModel) -> None:
         raise InvalidInputError(
             f"traffic model: expected the variables of the scenario {scenario.name!r}, "
             f"({', '.join(scenario.names)}), got ({', '.join(traffic.names)}); fit one with "
-            "'crashrate fit EVENTS --scenario SCENARIO --out traffic.json'."
+            "'crashrate fit EVENTS --scenario SCENARIO --out traffic.json' ('published' is in the "
+            "variables of examples/huang2017.toml and examples/own_vehicle.toml)."
         )
     for variable, scale in zip(scenario.variables, traffic.scales.each, strict=True):
         if variable.scale is not scale:

@@ -76,8 +76,9 @@ class Scenario:
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
+            why = (error.strerror if isinstance(error, OSError) else None) or error
             raise ScenarioError(
-                f"{path}: expected a scenario file (TOML, UTF-8), got: {error}."
+                f"{path}: expected a scenario file (TOML, UTF-8), got: {why}."
             ) from error
         return cls.from_text(text, name=path.stem, file=str(path), directory=path.parent)
 

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from crashrate.errors import InvalidInputError, ScenarioError
 from crashrate.estimation.methods import GOALS, METHODS
-from crashrate.estimation.strategy import Problem
+from crashrate.estimation.strategy import HALF_WIDTH, Problem
 from crashrate.expressions import Expression
 from crashrate.outcomes import consequence_names
 from crashrate.recordings.severity import FACTOR, LEVELS, Severity
@@ -19,7 +19,6 @@ SIMULATOR_KEYS = {
     "acc-aeb": ("kind", "published", "closing_speed_cap", "ego_speed_cap"),
     "python": ("kind", "function", "version"),
 }
-HALF_WIDTH = "a number above 0 and up to 1 (0.1 means ± 10 %)"
 FUNCTION_EXAMPLE = (
     'function = "my_simulator:crashes", the function crashes in my_simulator.py beside this file'
 )

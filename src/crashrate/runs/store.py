@@ -14,6 +14,7 @@ from crashrate.variables import FloatArray
 
 SCHEMA = "crashrate.run/1"
 FILE = "campaign.sqlite"
+MOST_NAMED = 5  # run folders in a message
 TABLES = """
 CREATE TABLE config (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE batches (
@@ -96,8 +97,7 @@ class RunStore:
         """
         if not cls.exists(directory):
             raise StoreError(
-                f"{directory}: expected a run folder, found no {FILE} in it; start one with "
-                "'crashrate run SCENARIO --traffic … --out DIR'."
+                f"{directory}: expected a run folder, found {_found_there(directory)}."
             )
         store = cls(directory, _connect(directory, "rw"))
         schema = store.config().get("schema")
@@ -259,3 +259,13 @@ def blob(values: FloatArray) -> bytes:
 
 def _array(blob: bytes) -> FloatArray:
     return np.frombuffer(blob, dtype=FLOAT).astype(np.float64)
+
+
+def _found_there(directory: Path) -> str:
+    """What is in the place of a run folder, and what to do."""
+    start = "start one with 'crashrate run SCENARIO --traffic … --out DIR'"
+    if not directory.is_dir():
+        return f"{'a file' if directory.exists() else 'no such folder'}; {start}"
+    if below := sorted(str(path.parent) for path in directory.glob(f"*/{FILE}")):
+        return f"no {FILE} in it but in {', '.join(below[:MOST_NAMED])}; name one of them"
+    return f"no {FILE} in it; {start}"

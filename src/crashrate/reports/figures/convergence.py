@@ -48,16 +48,16 @@ def half_width_panel(estimate: Estimate, target: float | None) -> Panel:
     """Relative half-width of the interval over runs, the target, and crude Monte Carlo's."""
     title = "How tight the interval is, against crude Monte Carlo"
     points = [p for p in _estimates(estimate) if p.upper > p.lower]
-    if not points or not math.isfinite(estimate.crude_monte_carlo_calls):
+    if not points or not 0 < estimate.relative_half_width < math.inf:
         return Panel(
             "half-width", title, "No interval of some width around an estimate above zero yet."
         )
-    if estimate.crude_monte_carlo_calls < 1:
+    if math.isnan(estimate.crude_monte_carlo_calls):
         return Panel(
             "half-width",
             title,
-            "No comparison: with an estimate this close to 1, crude Monte Carlo's formula asks "
-            "for less than one run.",
+            "No comparison: the interval is wider than the estimate to either side, or the "
+            "estimate so close to 1 that crude Monte Carlo's formula asks for less than one run.",
         )
     plot = Plot(
         _half_width_figure(points, estimate, target),
