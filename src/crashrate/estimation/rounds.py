@@ -327,8 +327,7 @@ def _together(share: FloatArray, sums: Sums, n_draws: FloatArray, least: float) 
     # draws say nothing of scatter that none of them sees; few rounds hardly show that it is small
     unseen = scatter > np.maximum(pooled, 1.0)
     inflation = np.maximum(least, np.where(unseen, scatter, pooled))
-    doubted = unseen | (least > 1.0)  # whoever widens by rule does not trust what was seen
-    known = np.where(doubted, freedom, freedom + DRAW_FREEDOM * worth)
+    known = np.where(unseen, freedom, freedom + DRAW_FREEDOM * worth)
     return _Together(center, variance, squares.mean(axis=0), inflation, known)
 
 

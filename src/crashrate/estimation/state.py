@@ -16,11 +16,9 @@ from crashrate.variables import FloatArray
 LEARNING_RUNS = 300
 LATE_RUNS = 200  # where the first crash came late: nothing was known of its region before
 RELEARNING_RUNS = 100  # after an order was dropped
-# What was seen may narrow an interval; not without an order, which nothing could contradict, and
-# least of all at a rough edge: its draws have only not yet met the rare large contributions, and
-# campaigns whose surrogate is too sure of itself (by 1.7 to 2 in standard deviation, one in ten)
-# end first.
-MIN_UNORDERED, MIN_ROUGH = 1.0, 1.3
+# What was seen may narrow an interval; not without an order, which nothing could contradict, nor at
+# a rough edge: its draws have only not yet met the rare large contributions.
+MIN_DOUBTED = 1.0
 
 
 @dataclass(frozen=True)
@@ -84,9 +82,8 @@ class State:
     @property
     def least_inflation(self) -> float:
         """Of the predicted variance: how far the interval may narrow with what was seen."""
-        if self.dropped_at is not None or self.labels.contradictions:
-            return MIN_ROUGH
-        return MIN_INFLATION if self.ordered else MIN_UNORDERED
+        doubted = not self.ordered or self.labels.contradictions > 0
+        return MIN_DOUBTED if doubted else MIN_INFLATION
 
     @property
     def ordered(self) -> bool:

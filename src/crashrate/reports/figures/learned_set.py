@@ -23,6 +23,7 @@ from crashrate.reports.panel import Plot
 from crashrate.variables import FloatArray
 
 _GRID_SIZE = 56
+FLATTER = 5  # points more in a plane: in space open symbols come out two to three times as large
 _MAX_POINTS = 2000  # of corners, whose number grows with a power of the dimension
 
 
@@ -51,9 +52,9 @@ def point_sets(learned: Learned, dominating: DominatingPoints) -> tuple[PointSet
     s = learned.monotone
     corners = np.where(np.isfinite(s.corners), s.corners, learned.lower)
     sets = (
-        PointSet("minimal crash", s.minimal_crashes, CRASH, "diamond", 6),
-        PointSet("maximal safe point", s.maximal_safe, SAFE, "square", 5),
-        _thinned(PointSet("corner of the outer set", corners, MUTED, "square-open", 5)),
+        PointSet("minimal crash", s.minimal_crashes, CRASH, "diamond", 4),
+        PointSet("maximal safe point", s.maximal_safe, SAFE, "square", 3.5),
+        _thinned(PointSet("corner of the outer set", corners, MUTED, "square-open", 2.5)),
         _dominating_set(learned, "dominating point, inner set", "diamond-open", dominating.inner),
         _dominating_set(learned, "dominating point, outer set", "circle-open", dominating.outer),
     )
@@ -74,15 +75,16 @@ def _dominating_set(
     learned: Learned, name: str, symbol: str, points: tuple[DominatingPoint, ...]
 ) -> PointSet:
     x = np.reshape([p.x for p in points], (-1, len(learned.order.variables)))
-    return PointSet(name, learned.order(x), ACCENT, symbol, 8, _notes(points))
+    return PointSet(name, learned.order(x), ACCENT, symbol, 4, _notes(points))
 
 
 def _run_sets(learned: Learned) -> tuple[PointSet, ...]:
     u, y = learned.u, learned.outcomes
     sets = (
-        PointSet("run: crash", u[y == 1], CRASH, "x", 3.5),
+        # in space "x" is drawn as a glyph (U+274C) that many fonts lack, "cross" as a plus sign
+        PointSet("run: crash", u[y == 1], CRASH, "cross", 5),
         PointSet("run: safe", u[y == 0], SAFE, "circle", 3),
-        PointSet("run: failed", u[np.isnan(y)], INK, "cross", 4),
+        PointSet("run: failed", u[np.isnan(y)], INK, "diamond-open", 3),
     )
     return tuple(p for p in sets if len(p.u))
 
@@ -154,7 +156,7 @@ def _trace(learned: Learned, points: PointSet, at: Sequence[int]) -> dict[str, A
     )
     note = "<br>%{text}" if points.notes else ""
     flat = len(at) == 2
-    marker = {"color": points.color, "symbol": points.symbol, "size": points.size + 4 * flat}
+    marker = {"color": points.color, "symbol": points.symbol, "size": points.size + FLATTER * flat}
     return {
         "type": "scatter" if flat else "scatter3d",
         **dict(zip(letters, columns, strict=True)),
