@@ -36,9 +36,12 @@ MIN_INFLATION = 0.5
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
-# A round whose pool holds less than this share of the crash mass known now was drawn elsewhere; one
-# that held less of it to be likely missed most by what it was sure of. They are left out.
-MIN_PREDICTED, LATEST = 0.5, 3
+# A round that saw less than this share of the crash mass known now is refuted …
+MIN_PREDICTED = 0.5
+# … and left out where its pool holds less than this, or held less of it to be likely: what it was
+# sure of and wrong about it will nearly never have drawn, so it is too low by that, in all but the
+# rarest of campaigns. (Where nothing was missed, rounds hold 0.9 and more.)
+MIN_FORESEEN, LATEST = 0.75, 3
 Values = FloatArray | float
 MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
 
@@ -354,12 +357,16 @@ def _members(rounds: Sequence[Round], n_draws: FloatArray, least: float) -> Traf
 def counted(rounds: Sequence[Round]) -> Sequence[Round]:
     """The rounds that count, by the latest ones; all where none foresaw what is known now."""
     known = float(np.median([r.known for r in rounds[-LATEST:]]))
-    return not_refuted(rounds, known) or rounds
+    return _saw(rounds, MIN_FORESEEN * known) or rounds
 
 
 def not_refuted(rounds: Sequence[Round], probability: float) -> list[Round]:
     """The rounds that saw as much crash mass as is now known, `probability`, or half of it."""
-    return [r for r in rounds if min(r.known, r.predicted) >= MIN_PREDICTED * probability]
+    return _saw(rounds, MIN_PREDICTED * probability)
+
+
+def _saw(rounds: Sequence[Round], mass: float) -> list[Round]:
+    return [r for r in rounds if min(r.known, r.predicted) >= mass]
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:

@@ -64,7 +64,7 @@ def sequential(problem: Problem) -> Learner:
         if isinstance(found, Snapshot):
             return found
         explored = replace(explored, labels=found, ordinary=explored.ordinary[:0])
-    state = _begin(problem, explored)
+    state, view = _begin(problem, explored), None
     alarms = doubts(problem, state, None, (0.0, 1.0))
     snapshot = Snapshot(learned=state.labels.learned, alarms=alarms)
     while state.labels.n < problem.max_calls:
@@ -100,6 +100,9 @@ def sequential(problem: Problem) -> Learner:
             break
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     else:
+        if view is not None:
+            state = _reconsidered(state, *_fit(state))
+            snapshot = answer(problem, state, view)
         snapshot = replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
     exact = exact_bounds(problem, state.labels)
     bounds = snapshot.bounds if exact is None else exact
