@@ -139,7 +139,7 @@ def test_rounds_that_foresaw_too_little_are_left_out():
     assert list(counted([blind, blind])) == [blind, blind]  # none knew better
 
 
-def test_members_and_consequences_are_as_sure_as_the_event(seen):
+def test_members_and_consequences_are_no_surer_than_the_event(seen):
     rng = np.random.default_rng(4)
     one = round_of(*seen(wrong, rng), 10, rng)
     sums = Sums(np.ones(2), np.ones(2), np.array([1.0, 2.0]), np.ones(2))
@@ -152,9 +152,10 @@ def test_members_and_consequences_are_as_sure_as_the_event(seen):
     injury = known.consequences[0].round
     assert injury.variance == pytest.approx(by * one.variance)
     assert injury.known == pytest.approx(known.known)
-    # a consequence has doubts of its own: none are taken from it
+    # they have doubts of their own: none are taken from them
     (surer,) = reconsider([with_both], lambda u: 1e-9 * right(u))
     assert surer.variance < one.variance == surer.consequences[0].round.variance
+    np.testing.assert_allclose(surer.members.variances, sums.variances)
     (again,) = reconsider([known], right)
     assert again.variance == pytest.approx(known.variance)
     np.testing.assert_allclose(again.members.variances, known.members.variances)

@@ -24,7 +24,6 @@ BY_SPREAD, BY_CHANCE, BY_ALL = 0.5, 0.25, 0.25
 # A draw where crashes were thought out of the question may move the estimate by a thousand times
 # the probability, once in a million rounds: it counts as if it moved it by so many times.
 MOST = 10.0
-LEAST_MEMBERS = 0.05  # of a member's variance: what the average learned need not be all of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,16 +132,15 @@ def reconsider(
 def _as_known(then: Round, probability: float, variance: float) -> Round:
     """The round that was `then`, by what is known now; what else its draws tell likewise.
 
-    Without its own reckoning a consequence is less sure where the event is, and never surer. Where
-    the variance grew, small contributions are no sign that it is small.
+    Without their own reckoning members and consequences are less sure where the event is, and never
+    surer. Where the variance grew, small contributions are no sign that it is small.
     """
     variance = float(at_least(variance, probability))
     by, share = variance / then.variance, probability / max(then.predicted, TINY)
-    members = then.members and replace(
-        then.members, variances=max(by, LEAST_MEMBERS) * then.members.variances
-    )
+    worse = max(by, 1.0)
+    members = then.members and replace(then.members, variances=worse * then.members.variances)
     consequences = tuple(
-        replace(c, round=_scaled(c.round, max(by, 1.0), share)) for c in then.consequences
+        replace(c, round=_scaled(c.round, worse, share)) for c in then.consequences
     )
     return replace(_scaled(then, by, share), members=members, consequences=consequences, then=then)
 
