@@ -69,8 +69,8 @@ def test_standard_errors_of_members_are_honest(studies):
 
 def test_the_headline_is_the_mean_of_the_members(studies, check_coverage):
     for s in studies:
-        # nearly: each member has its own shares of the rounds
-        assert s.probability == pytest.approx(np.mean(s.traffic_range.probabilities), rel=0.01)
+        # nearly: each member has its own shares of the rounds, and rounds that it leaves out
+        assert s.probability == pytest.approx(np.mean(s.traffic_range.probabilities), rel=0.03)
     check_coverage([s.interval for s in studies], EXACT.mean())
 
 
