@@ -116,6 +116,13 @@ def test_rounds_are_combined_as_those_of_the_event():
     assert got.aimed
 
 
+def test_rounds_that_count_for_the_event_count_for_its_consequences():
+    """What was expected of a consequence moves much more: few rounds would be left to stop on."""
+    rounds = [carried(e * 1e-7, e * 2e-9) for e in (0.6, 0.8, 1.2, 1.1)]
+    got = together("injury", rounds, 30, (9e-7, 1.1e-6), 0.95, aimed=True)
+    assert got.mean == pytest.approx(np.mean([0.6, 0.8, 1.2, 1.1]) * 1e-7)
+
+
 def test_a_consequence_never_seen_is_bounded_by_the_draws_alone():
     # forty events of equal weight without it: a classifier is sure, Clopper and Pearson are not
     rounds = [carried(1e-12, 1e-12, events=(1e-6, 1e-13)) for _ in range(4)]

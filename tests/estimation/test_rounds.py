@@ -277,6 +277,7 @@ def test_the_least_inflation_holds():
     assert combine(calm, 0.95).inflation == MIN_INFLATION
     doubted = combine(calm, 0.95, 1.3)
     assert doubted.inflation == 1.3
+    assert doubted.freedom == combine(calm, 0.95).freedom > PRIOR_ROUNDS + len(calm) - 1
 
 
 def noisy_intervals(noise, times=1500):

@@ -12,7 +12,14 @@ from crashrate.estimation.alarms import SHARE_LIMIT, UNDECIDED_LIMIT, Alarm, Sto
 from crashrate.estimation.carried import together
 from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.encounters import Encounters
-from crashrate.estimation.rounds import MIN_ROUNDS, Combined, combine, log_efficiency, not_refuted
+from crashrate.estimation.rounds import (
+    MIN_ROUNDS,
+    Combined,
+    combine,
+    counted,
+    log_efficiency,
+    not_refuted,
+)
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
 from crashrate.estimation.trust import Trust, trust
@@ -58,7 +65,7 @@ def _consequences(
     found = tuple(
         together(
             name,
-            [r.consequences[k] for r in state.rounds],
+            [r.consequences[k] for r in counted(state.rounds)],
             int(np.count_nonzero(state.labels.z[:, k] > 0)),
             event,
             problem.confidence,

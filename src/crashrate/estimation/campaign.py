@@ -257,7 +257,7 @@ class Campaign:
             n_eff=s.n_eff,
             largest_weight_share=s.largest_weight_share,
             log_efficiency=s.log_efficiency,
-            alarms=_alarms(s, y, self._problem.relative_half_width),
+            alarms=_alarms(s, y),
             stop_reason=s.stop_reason,
             method=self._method,
             seed=self._problem.seed,
@@ -337,10 +337,10 @@ def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
     return replace(traffic.modelled, members=())
 
 
-def _alarms(s: Snapshot, y: FloatArray, target: float) -> tuple[Alarm, ...]:
+def _alarms(s: Snapshot, y: FloatArray) -> tuple[Alarm, ...]:
     """The method's, and those that hold for any: first what is wrong with the simulator."""
     n_crashes, n_failed = (int(np.count_nonzero(some)) for some in (y == 1, np.isnan(y)))
-    ended, narrow = s.stop_reason is StopReason.BUDGET_ENDED, _narrow(s, target)
+    ended = s.stop_reason is StopReason.BUDGET_ENDED
     first = {
         Alarm.ALL_FAILED: 0 < n_failed == len(y),
         Alarm.NEARLY_ALL_CRASH: s.probability > NEARLY_ALL,
@@ -349,17 +349,7 @@ def _alarms(s: Snapshot, y: FloatArray, target: float) -> tuple[Alarm, ...]:
         Alarm.SIMULATIONS_FAILED: 0 < n_failed < len(y),
         Alarm.TOO_FEW_CRASHES: 0 < n_crashes < MIN_CRASHES and np.isfinite(s.probability),
         Alarm.CONSEQUENCE_UNDETERMINED: any(c.rough for c in s.consequences),
-        Alarm.TARGET_NOT_REACHED: ended and not narrow,
-        Alarm.TARGET_UNCHECKED: ended and narrow,
+        Alarm.TARGET_NOT_REACHED: ended and Alarm.TARGET_UNCHECKED not in s.alarms,
     }
     before, after = ([a for a in some if some[a]] for some in (first, last))
     return tuple(dict.fromkeys((*before, *s.alarms, *after)))
-
-
-def _narrow(s: Snapshot, target: float) -> bool:
-    """Whether the interval that the target is for is as narrow as was asked."""
-    aimed = next((c for c in s.consequences if c.aimed), None)
-    number, (low, high) = (
-        (s.probability, s.interval) if aimed is None else (aimed.mean, aimed.interval)
-    )
-    return number > 0 and (high - low) / 2 <= target * number

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from crashrate.estimation.consequence import MIN_CARRYING, Consequence
-from crashrate.estimation.rounds import MIN_INFLATION, Round, combine, corrected
+from crashrate.estimation.rounds import MIN_INFLATION, Round, combine_all, corrected
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.view import Moments, View
 from crashrate.variables import FloatArray
@@ -73,6 +73,7 @@ def together(
     ----------
     name : str
     found : sequence of Carried
+        Of the rounds that count for the event.
     n_carrying : int
         Simulator runs that had it.
     event : (float, float)
@@ -81,7 +82,7 @@ def together(
         As of `combine`.
     aimed : bool
     """
-    c = combine([f.round for f in found], confidence, least)
+    c = combine_all([f.round for f in found], confidence, least)
     n_eff = (c.estimate / c.standard_error) ** 2
     low, high = c.lower, c.upper
     if n_carrying < MIN_CARRYING:

@@ -36,11 +36,11 @@ MIN_INFLATION = 0.5
 # No round is surer of itself than this, relative to its prediction and absolutely: a surrogate that
 # holds every draw to be safe predicts no variance at all.
 CERTAIN, TINY = 1e-4, 1e-40
-# A round that saw less than this share of the crash mass known now is refuted …
+# A round is left out whose pool holds less than this share of the crash mass known now …
 MIN_PREDICTED = 0.5
-# … and left out where its pool holds less than this, or held less of it to be likely: what it was
-# sure of and wrong about it will nearly never have drawn, so it is too low by that, in all but the
-# rarest of campaigns. (Where nothing was missed, rounds hold 0.9 and more.)
+# … or that foresaw less than this of it: what it was sure of and wrong about it will nearly never
+# have drawn, so it is too low by that, in all but the rarest of campaigns. (Of the pool's mass less
+# is asked: it is known from some of its rows, roughly; what was foreseen is exact.)
 MIN_FORESEEN, LATEST = 0.75, 3
 Values = FloatArray | float
 MAX_PREDICTED = 2.0  # times the rounds' median: a larger prediction gains no weight
@@ -253,7 +253,11 @@ def combine(rounds: Sequence[Round], confidence: float, least: float = MIN_INFLA
     least : float
         Of the inflation.
     """
-    rounds = counted(rounds)
+    return combine_all(counted(rounds), confidence, least)
+
+
+def combine_all(rounds: Sequence[Round], confidence: float, least: float) -> Combined:
+    """As `combine`, whatever the rounds foresaw."""
     estimates, known, variances, squares = (
         np.array([getattr(r, name) for r in rounds])
         for name in ("estimate", "known", "variance", "squares")
@@ -357,16 +361,13 @@ def _members(rounds: Sequence[Round], n_draws: FloatArray, least: float) -> Traf
 def counted(rounds: Sequence[Round]) -> Sequence[Round]:
     """The rounds that count, by the latest ones; all where none foresaw what is known now."""
     known = float(np.median([r.known for r in rounds[-LATEST:]]))
-    return _saw(rounds, MIN_FORESEEN * known) or rounds
+    foreseen = [r for r in rounds if r.predicted >= MIN_FORESEEN * known]
+    return not_refuted(foreseen, known) or rounds
 
 
 def not_refuted(rounds: Sequence[Round], probability: float) -> list[Round]:
     """The rounds that saw as much crash mass as is now known, `probability`, or half of it."""
-    return _saw(rounds, MIN_PREDICTED * probability)
-
-
-def _saw(rounds: Sequence[Round], mass: float) -> list[Round]:
-    return [r for r in rounds if min(r.known, r.predicted) >= mass]
+    return [r for r in rounds if min(r.known, r.predicted) >= MIN_PREDICTED * probability]
 
 
 def _shares(predicted: FloatArray, variance: FloatArray) -> FloatArray:

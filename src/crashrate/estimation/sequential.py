@@ -13,7 +13,7 @@ import numpy as np
 
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import aim
-from crashrate.estimation.alarms import StopReason
+from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.answer import answer, doubts, outvoted
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.carried import carry
@@ -100,13 +100,22 @@ def sequential(problem: Problem) -> Learner:
             break
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     else:
-        if view is not None:
-            state = _reconsidered(state, *_fit(state))
-            snapshot = answer(problem, state, view)
-        snapshot = replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
+        snapshot = _last_word(problem, state, view, snapshot)
     exact = exact_bounds(problem, state.labels)
     bounds = snapshot.bounds if exact is None else exact
     return replace(snapshot, bounds=bounds, belief=_belief(state))
+
+
+def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snapshot) -> Snapshot:
+    """What an ended budget leaves; the last outcomes have their say."""
+    if view is not None:
+        surrogate, model = _fit(state)
+        # the last pool as it is seen now: what was held of it before may have been the mistake
+        view = see(view.pool, state.labels, surrogate, model.standardise)
+        snapshot = answer(problem, _reconsidered(state, surrogate, model), view)
+    if snapshot.stop_reason is StopReason.TARGET_MET:
+        snapshot = replace(snapshot, alarms=(*snapshot.alarms, Alarm.TARGET_UNCHECKED))
+    return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
 
 
 def _survey(
