@@ -83,6 +83,10 @@ def test_sentence():
     assert NOTHING.sentence() == (
         "P(crash) has no estimate yet; 100 simulator runs, 40 of them crashed"
     )
+    bounded = replace(NOTHING, interval=(0.0, 0.12))  # by random encounters
+    assert (
+        "no estimate yet, 95 % Monte Carlo interval [0.0e+00, 1.2e-01]; 100" in bounded.sentence()
+    )
     unseen = replace(NOTHING, probability=0.0, n_crashes=0)
     assert "no crash was seen; 100 simulator runs" in unseen.sentence()
     bounded = replace(unseen, interval=(0.0, 0.02))

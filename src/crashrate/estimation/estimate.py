@@ -212,7 +212,7 @@ class Estimate:
 
 def _number(value: float, probability: float) -> str:
     """A probability beside the estimate, to two digits: of its distance to 1 where that is near."""
-    if probability <= NEAR_ONE:
+    if not probability > NEAR_ONE:
         return f"{value:.1e}"
     return "1" if value == 1 else f"1 - {1 - value:.1e}"
 
