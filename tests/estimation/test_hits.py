@@ -10,11 +10,11 @@ from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.answer import answer
 from crashrate.estimation.hits import Hits, count, upper_end
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.rounds import combine, measure
+from crashrate.estimation.rounds import Round, combine, measure
 from crashrate.estimation.selection import to_estimate
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem
-from crashrate.estimation.trust import ENOUGH, LOOSE
+from crashrate.estimation.trust import ENOUGH, LOOSE, trust
 
 
 @pytest.fixture
@@ -149,3 +149,19 @@ def test_a_loose_answer_is_wider_still_however_many_hits(cases, toy_view):
     assert loose.interval[1] <= view.bounds()[1]  # what the order leaves open
     assert Alarm.UNSETTLED in loose.alarms
     assert Alarm.TOO_FEW_CRASHES not in loose.alarms
+
+
+@pytest.mark.parametrize(("first", "unsettled"), [(0.03, True), (0.5, False)])
+def test_an_estimate_that_moved_by_a_multiple_has_not_settled(cases, first, unsettled):
+    """Also where the rounds that held so little are left out of the estimate since."""
+    problem = Problem(traffic=cases.standard_normal(2))
+    one = Round(6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-16, 6, 1e-16, 1e-7, hits=Hits(n=4, reach=3e6))
+    low = replace(one, predicted=first * one.predicted)
+    rounds = (low, one, one, one)
+    state = State(Labels.empty(problem), np.empty((0, 2)), problem.traffic, None, rounds=rounds)
+    c = combine(rounds, 0.95)
+    assert c.n_rounds == 3
+    found = trust(problem, state, c, 1.0)
+    assert not found.few
+    assert found.unsettled == unsettled
+    assert (found.limit > c.upper) == unsettled

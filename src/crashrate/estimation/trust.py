@@ -48,7 +48,8 @@ def trust(problem: Problem, state: State, c: Combined, outer: float) -> Trust:
 def _by_draws(problem: Problem, state: State, c: Combined, outer: float) -> Trust:
     rounds = counted(state.rounds)
     few = sum(r.hits.n for r in rounds) < ENOUGH
-    unsettled = c.half_width > LOOSE * c.estimate or _swings(rounds)
+    # also by rounds that are left out since: they are what the surrogate held a short while ago
+    unsettled = c.half_width > LOOSE * c.estimate or _swings(state.rounds)
     if not (few or unsettled):
         return Trust()
     limit = upper_end([r.hits for r in rounds], problem.confidence)
