@@ -574,7 +574,7 @@ def test_consequences_are_declared_aimed_at_and_printed(small, quick, monkeypatc
     told = small_run(small, "--aim", "injury")
     assert told.exit_code == 3, told.stderr
     lines = told.stdout.splitlines()
-    assert lines[0].startswith("P(crash) = ")
-    assert lines[1].startswith("E(injury) ≤ 3.0e-01 per encounter: not determined")
+    assert lines[0].startswith("E(injury) ≤ 3.0e-01 per encounter: not determined")
+    assert lines[1].startswith("P(crash) = ")
     assert load_run(small / "run").result["consequences"][0]["aimed"]
     assert "expected one of" in small_run(small, "--aim", "injuries").stderr

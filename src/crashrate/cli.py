@@ -22,8 +22,6 @@ from crashrate.runs.progress import progress
 if TYPE_CHECKING:
     from crashrate.estimation.estimate import Estimate
 
-REPORT = "report.html"
-
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
@@ -63,7 +61,7 @@ def _components(text: str) -> str:
     try:
         parse_components(text)
     except InvalidInputError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise typer.BadParameter(str(error).removeprefix("components: ")) from None
     return text
 
 
@@ -281,12 +279,10 @@ def run(
     from crashrate.runs import places, recorded, runner
     from crashrate.runs.scenario import Scenario
 
-    places.require_folder_place(out)
+    places.require_run_place(out)
     what, model = Scenario.from_file(scenario), places.traffic_named(traffic)
     chosen = what.target.method if method is None else method.value
-    events, note = recorded.events_for(traffic, model, chosen)
-    if note:
-        typer.echo(f"Note: {note}", err=True)
+    events, without = recorded.events_for(traffic, model, chosen)
     n_stored = runner.n_stored(out)
     # what a simulator prints is not the answer
     with progress() as say, redirect_stdout(sys.stderr):
@@ -303,6 +299,7 @@ def run(
             batch_size=batch_size,
             same_vehicle=same_vehicle,
             events=events,
+            without_events=without,
             replay_calls=replay_calls,
             on_progress=lambda campaign: say(standing(campaign, n_stored)),
             say=say,
@@ -343,7 +340,7 @@ def demo(
     from crashrate.runs import fitting, places, runner
 
     folder = Path("runs", f"demo-{seed}") if out is None else out
-    places.require_folder_place(folder)
+    places.require_run_place(folder)
     n_stored = runner.n_stored(folder)
     scenario, events = pieces.demo_scenario(), pieces.demo_events(seed)
     typer.echo(events.summary(), err=True)
@@ -384,6 +381,7 @@ def _finish(directory: Path, estimate: "Estimate", output: Format, n_stored: int
 def _write_report(directory: Path) -> Path:
     from crashrate.reports.html import write_report
     from crashrate.runs.record import load_run
+    from crashrate.runs.result import REPORT
 
     return write_report(load_run(directory), directory / REPORT)
 

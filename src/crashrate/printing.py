@@ -39,19 +39,51 @@ def print_result(result: dict[str, Any], output: Format) -> None:
 
 
 def _print_answers(result: Mapping[str, Any]) -> None:
-    """The event's probability, below it what it leads to, and what else was found."""
+    """What was aimed at, the event's probability, what else it leads to, and what was found."""
+    consequences = result.get("consequences", ())
+    for consequence in consequences:
+        if consequence["aimed"]:
+            typer.echo(consequence["sentence"])
     typer.echo(result["sentence"])
-    for consequence in result.get("consequences", ()):
-        typer.echo(consequence["sentence"])
+    for consequence in consequences:
+        if not consequence["aimed"]:
+            typer.echo(consequence["sentence"])
     if audit := result.get("order_audit"):
         typer.echo(audit["sentence"])
     if traffic_range := result.get("traffic_range"):
         typer.echo(traffic_range["sentence"])
-    if recordings := result.get("recordings"):
-        for sentence in recordings.get("sentences", ()):
-            typer.echo(sentence)
-        if pending := recordings.get("pending"):
-            typer.echo(f"Note: {pending}.", err=True)
+    for sentence in (result.get("recordings") or {}).get("sentences", ()):
+        typer.echo(sentence)
+
+
+def _print_notes(result: Mapping[str, Any]) -> None:
+    """What is neither an answer nor a doubt, and yet to be known with either."""
+    recordings = result.get("recordings") or {}
+    if pending := recordings.get("pending"):
+        typer.echo(f"Note: {pending}.", err=True)
+    if unchecked := recordings.get("unchecked"):
+        typer.echo(
+            f"Note: the traffic model is not checked against recordings: {unchecked}.", err=True
+        )
+    if _is_one_fit(result):
+        typer.echo(
+            "Note: one fit to the events, and no others beside it: nothing says how far the events "
+            "determine this number; 'crashrate fit --ensemble 40' and a run in a new folder would.",
+            err=True,
+        )
+    if edits := result.get("vouched_sources"):
+        typer.echo(
+            f"Note: the simulator was edited after {runs(edits[-1]['n_runs'], 'run')}; the "
+            "outcomes from before were kept, at your word that they are the same (--same-vehicle).",
+            err=True,
+        )
+
+
+def _is_one_fit(result: Mapping[str, Any]) -> bool:
+    """Whether the traffic model is the only one that was fitted to recorded events."""
+    traffic = result.get("traffic") or {}
+    fitted = bool((traffic.get("events") or {}).get("n")) and not result["synthetic"]
+    return fitted and not traffic.get("n_members")
 
 
 def _print_doubts(result: Mapping[str, Any]) -> None:
@@ -65,6 +97,13 @@ def _print_doubts(result: Mapping[str, Any]) -> None:
     typer.echo(_how_it_stands(result) + _what_was_asked(result), err=True)
     if result["stop_reason"] == StopReason.BUDGET_ENDED.value:
         typer.echo("The same command with a larger --max-calls goes on from here.", err=True)
+    if result["stop_reason"] == StopReason.DRAWS_ENDED.value:
+        typer.echo(
+            "Most of these draws cost no run, and their number is fixed: a larger --max-calls "
+            "changes nothing.",
+            err=True,
+        )
+    _print_notes(result)
     for alarm in result["alarms"]:
         typer.echo(f"Alarm: {alarm['message']}.", err=True)
     if found := result.get("order_suspect"):

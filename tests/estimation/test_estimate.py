@@ -59,8 +59,10 @@ def test_an_estimate_near_one_is_said_by_its_distance_to_one():
     near = replace(ANSWER, probability=1 - 2e-3, interval=(1 - 3e-3, 1.0))
     assert near.sentence() == (
         "P(crash) = 1 - 2.0e-03 per encounter, 95 % Monte Carlo interval [1 - 3.0e-03, 1]; "
-        "100 simulator runs; crude Monte Carlo would need 3,400"
+        "100 simulator runs"
     )
+    even = replace(near, interval=(1 - 3e-3, 1 - 1e-3)).sentence()
+    assert even.endswith("100 simulator runs; crude Monte Carlo would need 7,700")
 
 
 def test_undetermined_is_said_in_the_record_too():
@@ -93,6 +95,40 @@ def test_sentence():
     assert "no crash was seen, 95 % Monte Carlo interval [0.0e+00, 2.0e-02]" in bounded.sentence()
     assert "P(fall) = 2.0e-06 per step" in ANSWER.sentence("fall", "step")
     assert "100 simulator runs, 3 of them failed;" in replace(ANSWER, n_failed=3).sentence()
+    many = replace(ANSWER, n_calls=12_000, n_failed=1_000).sentence()
+    assert "12,000 simulator runs, 1,000 of them failed" in many
+
+
+def test_a_first_idea_is_no_estimate():
+    """Half the interval is more than the estimate: the interval alone is the answer."""
+    rough = replace(ANSWER, probability=2e-8, interval=(0.0, 3e-3))
+    assert not rough.determined
+    assert rough.sentence() == (
+        "P(crash) is not determined: 2.0e-08 per encounter so far, 95 % Monte Carlo interval "
+        "[0.0e+00, 3.0e-03]; 100 simulator runs, 40 of them crashed"
+    )
+    assert replace(ANSWER, interval=(0.0, 4e-6)).determined
+
+
+def test_an_uneven_interval_is_said_by_its_two_sides():
+    """Failed runs count as crashes above and as safe below: there is no one ± of both."""
+    uneven = replace(ANSWER, interval=(0.58e-6, 2.16e-6), n_failed=30)
+    assert "(-71 %, +8 %); 100 simulator runs, 30 of them failed" in uneven.sentence()
+    assert math.isnan(uneven.crude_monte_carlo_calls)
+
+
+@pytest.mark.parametrize(
+    ("phase", "words"),
+    [
+        ("explore", ": the runs went into finding crashes;"),
+        ("learn 3", ": the runs went into learning where they begin;"),
+        ("adapt 2", ": the runs went into adapting the proposal;"),
+        ("estimate", "no estimate yet;"),
+    ],
+)
+def test_what_the_runs_went_into_is_said_where_there_is_no_estimate(phase, words):
+    begun = replace(NOTHING, history=(HistoryPoint(100, math.nan, 0.0, 1.0, phase),))
+    assert words in begun.sentence()
 
 
 def test_sentence_of_bounds():
@@ -118,6 +154,7 @@ def test_sentence_of_bounds():
         (2.5e9, "2.5 billion"),
         (3e12, "3 trillion"),
         (12, "12"),
+        (5e20, "5.0e+20"),
     ],
 )
 def test_in_words(number, words):

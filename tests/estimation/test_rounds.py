@@ -249,13 +249,23 @@ def test_interval_stays_within_zero_and_one():
 def test_an_estimate_above_one_is_one():
     got = combine([round_of(1.002, 1e-5)], 0.95)
     assert got.estimate == got.upper == 1.0
-    assert got.lower == pytest.approx(1.002 - got.half_width)
+    assert got.half_width > 0.002
+    assert got.lower == pytest.approx(1 - got.half_width)
 
 
 def test_an_estimate_below_zero_is_zero():
     got = combine([round_of(-0.1, 0.01)], 0.95)
     assert got.estimate == got.lower == 0.0
-    assert got.upper == pytest.approx(-0.1 + got.half_width)
+    assert got.upper == pytest.approx(got.half_width)
+
+
+@pytest.mark.parametrize("estimate", [1.002, -0.002])
+def test_no_interval_excludes_every_probability(estimate):
+    """An estimate outside [0, 1] by more than its half-width: an interval turned inside out."""
+    got = combine([round_of(estimate, 1e-9)], 0.95)
+    assert got.half_width < 0.002
+    assert got.upper - got.lower == pytest.approx(0.002)
+    assert got.lower <= got.estimate <= got.upper
 
 
 def test_a_larger_confidence_is_a_wider_interval():

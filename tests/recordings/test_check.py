@@ -155,4 +155,6 @@ def test_awkward_events_are_compared(known, kind):
     assert got.failed == {}
     assert len(got.rivals) == 2
     # whatever else they are, these are no recordings of that model: but sixty of them are
-    assert kind != "sixty" or set(got.alarms(ANSWER)) <= {Alarm.FEW_EVENTS_DECIDE}
+    # (which say little of its tail)
+    unsure = {Alarm.FEW_EVENTS_DECIDE, Alarm.TRAFFIC_UNDETERMINED}
+    assert kind != "sixty" or set(got.alarms(ANSWER)) <= unsure

@@ -131,6 +131,33 @@ def test_no_alarm_is_said_and_alarms_are_shown_in_words(build, estimate):
     assert page.text.count("raised") == 2
 
 
+def test_a_model_that_nothing_was_compared_with_is_said_to_be_so(build):
+    record = build()
+    page = Page(render_report(record))
+    assert "not checked against recordings: no events were at hand" in page.text
+    why = {"unchecked": "the method 'crude' learns no crash set"}
+    told = dataclasses.replace(record, result=record.result | {"recordings": why})
+    page = Page(render_report(told))
+    assert page.text.count("the method 'crude' learns no crash set") == 2  # and in its section
+
+
+def test_an_aimed_consequence_heads_the_page(build, estimate, consequences):
+    record = build(estimate=estimate(consequences=consequences))
+    page = Page(render_report(record))
+    heading = page.text.index("E(injury) =")
+    assert heading < page.text.index("P(crash) =")
+    assert "what was aimed at" in page.text
+
+
+def test_a_dropped_order_draws_no_implied_sets(build, estimate):
+    kept = Page(render_report(build())).text
+    assert "inner set" in kept
+    dropped = Page(render_report(build(estimate=estimate(alarms=(Alarm.ORDER_DROPPED,))))).text
+    assert "The declared risk order was dropped, so that they imply nothing" in dropped
+    assert "No risk order: the declared one was dropped" in dropped
+    assert "shaded red" not in dropped.lower()
+
+
 def test_an_interval_wider_than_its_estimate_is_shown_by_its_upper_end(build, estimate):
     wide = estimate(probability=2e-6, interval=(0.0, 3e-2))
     text = Page(render_report(build(estimate=wide))).text

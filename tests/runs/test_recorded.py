@@ -34,7 +34,10 @@ def test_no_file_and_no_memory_of_events_are_no_error(tmp_path, events, model, t
     assert recorded.read_events_beside(tmp_path / "traffic.json", model) is None
     recorded.write_events(tmp_path / "traffic.json", events)
     assert recorded.read_events_beside(tmp_path / "traffic.json", traffic) is None
-    assert recorded.events_for("published", traffic, "sequential") == (None, "")
+    assert recorded.events_for("published", traffic, "sequential") == (
+        None,
+        "it comes without events",
+    )
 
 
 def test_why_there_are_no_events_is_said(tmp_path, events, model):

@@ -86,7 +86,7 @@ def test_derived_may_use_earlier_derived():
         ("upper = 35", "unit = 5", "unit: expected a text, got 5 (an integer)"),
         ("variables.range", 'variables."my range"', "expected a Python identifier"),
         ("acc-aeb", "acc-abe", "unknown kind 'acc-abe'; did you mean 'acc-aeb'"),
-        ('kind = "acc-aeb"', "", "expected a text under the key 'kind', got nothing"),
+        ('kind = "acc-aeb"', "", "expected the vehicle under test, such as kind = 'python'"),
         ('"acc-aeb"', '"acc-aeb"\nfunction = "a:b"', "unknown key 'function'"),
         ('"acc-aeb"', '"acc-aeb"\npublished = 1', "published: expected true or false, got 1"),
         ('"acc-aeb"', '"acc-aeb"\npublished = true\nego_speed_cap = 3', "sets both caps"),

@@ -52,8 +52,9 @@ class Alarm(StrEnum):
         "crash, and takes the columns in their order and units"
     )
     TRAFFIC_UNDETERMINED = (
-        "the events do not determine the probability: traffic models that fit them about "
-        "as well differ by more than the interval says"
+        "the events do not determine the probability: traffic models that fit them about as well, "
+        "or a model fitted to other events of the same traffic, would give another by more than a "
+        "factor of two"
     )
     MEMBERS_UNDETERMINED = (
         "some of the traffic models put their crashes where the simulator runs have seen too "
@@ -66,6 +67,14 @@ class Alarm(StrEnum):
     EXTREMES_DISAGREE = (
         "extreme-value theory on the events' margins to a crash excludes the probability: the "
         "traffic model's tail is in doubt"
+    )
+    NEAR_MISSES_DISAGREE = (
+        "near misses are rarer or more frequent in the traffic model than in the events, at two "
+        "levels of one quantity or more: its tail, and any probability from it, is in doubt"
+    )
+    EVENTS_DROPPED = (
+        "more than a tenth of the recorded encounters were dropped as invalid: the traffic model "
+        "describes the others alone; look at why, and at the units of the columns"
     )
     REPLAY_DISAGREES = (
         "replaying the events excludes the probability: the traffic model does not describe them"

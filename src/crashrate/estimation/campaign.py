@@ -316,8 +316,13 @@ class Campaign:
             self._snapshot = query.snapshot
 
     def _suspect(self) -> Suspect | None:
-        against = {Alarm.ORDER_CONTRADICTED, Alarm.ORDER_DROPPED} & set(self._snapshot.alarms)
-        return suspect(self._order, self.x, self.outcomes) if self._order and against else None
+        """The direction to look at; not where the outcomes' own sense is what is in doubt."""
+        alarms = set(self._snapshot.alarms)
+        if not self._order or not alarms & {Alarm.ORDER_CONTRADICTED, Alarm.ORDER_DROPPED}:
+            return None
+        if self._snapshot.probability > NEARLY_ALL:
+            return None
+        return suspect(self._order, self.x, self.outcomes)
 
     def _history_point(self) -> HistoryPoint:
         s = self._snapshot

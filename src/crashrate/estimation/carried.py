@@ -92,7 +92,7 @@ def together(
     return Consequence(
         name=name,
         mean=c.estimate,
-        interval=(low, min(high, event[1])),
+        interval=(min(low, event[1]), max(min(high, event[1]), c.estimate)),
         standard_error=c.standard_error,
         n_eff=n_eff,
         n_carrying=n_carrying,

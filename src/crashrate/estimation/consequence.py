@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from crashrate.estimation.alarms import SHARE_LIMIT
+from crashrate.estimation.width import width_text
 
 MIN_N_EFF = 5.0  # below it, the runs do not determine a consequence
 MIN_CARRYING = 10  # nor if fewer runs had it
@@ -72,9 +73,10 @@ class Consequence:
             seen = f"{self.n_carrying} simulator run{'s' * (self.n_carrying != 1)} had it"
             bracket = f"≤ {high:.1e}" if low == 0 else f"between {low:.1e} and {high:.1e}"
             return f"E({self.name}) {bracket} per {per}: not determined, {seen}"
-        relative = self.relative_half_width
-        about = f" (± {100 * relative:.0f} %)" if relative <= 1 else ""
-        return f"E({self.name}) = {self.mean:.1e} per {per}, [{low:.1e}, {high:.1e}]{about}"
+        width = width_text(self.mean, self.interval)
+        about = width and f" ({width})"
+        rough = ": a first idea only" if self.rough else ""
+        return f"E({self.name}) = {self.mean:.1e} per {per}, [{low:.1e}, {high:.1e}]{about}{rough}"
 
     def to_dict(self, per: str = "encounter") -> dict[str, object]:
         """As JSON-ready values, but for numbers that are not finite."""

@@ -250,7 +250,7 @@ def _snapshot(
 ) -> Snapshot:
     tally = draws.tally
     return Snapshot(
-        probability=tally.mean,
+        probability=tally.estimate,
         interval=draws.interval(problem.confidence),
         standard_error=tally.standard_error,
         n_eff=tally.n_eff,

@@ -9,8 +9,14 @@ from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.suspect import Suspect
 from crashrate.estimation.traffic_range import TrafficRange
+from crashrate.estimation.width import is_skewed, width_text
 
 SCHEMA = "crashrate.result/1"
+PURPOSES = {  # of the phases before an estimate
+    "explore": "finding crashes",
+    "learn": "learning where they begin",
+    "adapt": "adapting the proposal",
+}
 NEAR_ONE = 0.99  # an estimate above it is said by its distance to 1
 
 
@@ -111,17 +117,22 @@ class Estimate:
 
     @property
     def determined(self) -> bool:
-        """Whether there is an estimate: until a crash was seen, there is its upper end alone."""
-        return self.probability > 0
+        """Whether the estimate says more than its interval: half of that is at most the estimate.
+
+        Else the interval alone is the answer, and the estimate a first idea. (So it is before the
+        first crash, where the interval has an upper end alone.)
+        """
+        return self.relative_half_width <= 1
 
     @property
     def crude_monte_carlo_calls(self) -> float:
         """Crude Monte Carlo runs that give the same half-width (paper, §VI: std of the mean).
 
-        NaN where there is nothing to compare: an interval wider than its estimate to either side,
-        which is no normal one, or an estimate so near to 1 that the formula asks for no run.
+        NaN where there is nothing to compare: an interval that is no normal one, because it is
+        wider than its estimate to either side, or reaches much farther to one of them (failed
+        runs, say); or an estimate so near to 1 that the formula asks for no run.
         """
-        if not 0 < self.relative_half_width <= 1:
+        if not 0 < self.relative_half_width <= 1 or is_skewed(self.probability, self.interval):
             return math.nan
         from scipy.special import ndtri
 
@@ -140,6 +151,11 @@ class Estimate:
             return f"{self._bracket(event, per)}; {self._runs()}"
         return f"{self._head(event, per)}{self._around()}; {self._runs()}{self._crude()}"
 
+    def _went_into(self) -> str:
+        """What the runs of a method that has no estimate yet were for."""
+        phase = self.history[-1].phase.split()[0] if self.history else ""
+        return f": the runs went into {PURPOSES[phase]}" if phase in PURPOSES else ""
+
     def _around(self) -> str:
         if self.interval == (0.0, 1.0) and not self.determined:
             return ""  # nothing is known, and no interval says so better
@@ -148,11 +164,11 @@ class Estimate:
         return f", {interval}{self._relative()}"
 
     def _runs(self) -> str:
-        text = f"{self.n_calls} simulator run{'s' if self.n_calls != 1 else ''}"
+        text = f"{self.n_calls:,} simulator run{'s' if self.n_calls != 1 else ''}"
         if self.n_crashes and not self.determined and self.goal == "probability":
-            text += f", {self.n_crashes} of them crashed"
+            text += f", {self.n_crashes:,} of them crashed"
         if 0 < self.n_failed < self.n_calls:
-            text += f", {self.n_failed} of them failed"
+            text += f", {self.n_failed:,} of them failed"
         return text
 
     def _bracket(self, event: str, per: str) -> str:
@@ -165,7 +181,7 @@ class Estimate:
 
     def _why_unbounded(self) -> str:
         if 0 < self.n_calls == self.n_failed:
-            return f"all {self.n_calls} simulations failed"
+            return f"all {self.n_calls:,} simulations failed"
         if Alarm.ORDER_DROPPED in self.alarms:
             return "the risk order was dropped"
         return "no outcome implies any other yet"
@@ -173,16 +189,19 @@ class Estimate:
     def _head(self, event: str, per: str) -> str:
         if self.determined:
             return f"P({event}) = {_number(self.probability, self.probability)} per {per}"
+        if self.probability > 0:
+            return f"P({event}) is not determined: {self.probability:.1e} per {per} so far"
         if 0 < self.n_calls == self.n_failed:
-            return f"P({event}) is not determined: all {self.n_calls} simulations failed"
+            return f"P({event}) is not determined: all {self.n_calls:,} simulations failed"
         if self.n_crashes:
-            return f"P({event}) has no estimate yet"
+            return f"P({event}) has no estimate yet{self._went_into()}"
         return f"P({event}) is not determined: no {event} was seen"
 
     def _relative(self) -> str:
-        relative = self.relative_half_width
-        near_one = self.probability > NEAR_ONE  # where the distance to 1 is what is uncertain
-        return f" (± {100 * relative:.0f} %)" if relative <= 1 and not near_one else ""
+        if self.probability > NEAR_ONE:  # where the distance to 1 is what is uncertain
+            return ""
+        text = width_text(self.probability, self.interval)
+        return text and f" ({text})"
 
     def _crude(self) -> str:
         calls = self.crude_monte_carlo_calls
@@ -218,7 +237,9 @@ def _number(value: float, probability: float) -> str:
 
 
 def in_words(number: float) -> str:
-    """A large count with two significant digits: ``190 million``, ``43,000``."""
+    """A large count with two significant digits: ``190 million``, ``43,000``, ``4.0e+20``."""
+    if number >= 1e15:
+        return f"{number:.1e}"
     for size, word in ((1e12, "trillion"), (1e9, "billion"), (1e6, "million")):
         if number >= size:
             return f"{_two_digits(number / size):,g} {word}"

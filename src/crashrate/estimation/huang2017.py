@@ -338,7 +338,7 @@ def _snapshot(
 ) -> Huang2017Snapshot:
     tally = state.tally
     return Huang2017Snapshot(
-        probability=max(tally.mean, 0.0) if tally.n else math.nan,  # audits may subtract
+        probability=tally.estimate,
         interval=tally.interval(problem.confidence, 1 / settings.defensive_share),
         standard_error=tally.standard_error,
         bounds=state.bounds,

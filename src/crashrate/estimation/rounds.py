@@ -17,6 +17,7 @@ from crashrate.estimation.hits import NONE, Hits, count
 from crashrate.estimation.selection import Drawn
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.view import View
+from crashrate.estimation.within_unit import within_unit
 from crashrate.variables import FloatArray
 
 if TYPE_CHECKING:
@@ -271,12 +272,9 @@ def combine_all(rounds: Sequence[Round], confidence: float, least: float) -> Com
     highest = float(share @ np.array([r.highest for r in rounds]))
     largest = float((share * np.array([r.largest for r in rounds])).max())
     return Combined(
-        # a corrected sum may leave [0, 1]; the nearest probability is nearer to the truth
-        estimate=min(max(center, 0.0), 1.0),
+        **vars(within_unit(center, half_width, lowest, highest)),
         standard_error=error,
         half_width=half_width,
-        lower=max(lowest - half_width, 0.0),
-        upper=min(highest + half_width, 1.0),
         n_rounds=len(rounds),
         scatter=float(found.scatter),
         largest_share=largest / center if center > 0 else 1.0,

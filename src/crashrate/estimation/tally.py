@@ -11,6 +11,7 @@ from typing import Self
 from scipy.special import stdtrit
 
 from crashrate.estimation.encounters import interval
+from crashrate.estimation.within_unit import within_unit
 from crashrate.variables import FloatArray
 
 
@@ -50,6 +51,11 @@ class Tally:
     def mean(self) -> float:
         """The estimate; NaN before the first draw."""
         return self.total / self.n if self.n else math.nan
+
+    @property
+    def estimate(self) -> float:
+        """The probability nearest to the mean: audits may subtract, and weights exceed 1."""
+        return min(max(self.mean, 0.0), 1.0) if self.n else math.nan
 
     @property
     def standard_error(self) -> float:
@@ -98,5 +104,6 @@ class Tally:
             return 0.0, 1.0
         if self.total <= 0.0 and self.failed == 0.0:
             return 0.0, min(largest_weight * interval(0, self.n, confidence)[1], 1.0)
-        half = self.half_width(confidence)
-        return max(self.mean - half, 0.0), min(self.mean + self.failed / self.n + half, 1.0)
+        highest = self.mean + self.failed / self.n
+        found = within_unit(self.mean, self.half_width(confidence), self.mean, highest)
+        return found.lower, found.upper

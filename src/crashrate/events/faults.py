@@ -8,6 +8,8 @@ import numpy as np
 from crashrate.errors import EventsError
 from crashrate.variables import BoolArray
 
+UNITS = "Are the columns in the units of the scenario?"
+
 
 @dataclass(frozen=True, eq=False)
 class Fault:
@@ -53,7 +55,9 @@ def sift(
 def _error(describe: Callable[[int], str], bad: BoolArray, source: str) -> EventsError:
     row, n_bad = int(np.argmax(bad)), int(bad.sum())
     rows = "1 such row" if n_bad == 1 else f"{n_bad:,} such rows"
+    # nobody's recordings are mostly wrong: what is read is not what is meant
+    most = f" {UNITS}" if 2 * n_bad > len(bad) else ""
     return EventsError(
-        f"{source}, data row {row + 1}: {describe(row)} ({rows} of {len(bad):,}). Correct the "
-        "file, or drop and count such rows with drop_invalid (--drop-invalid)."
+        f"{source}, data row {row + 1}: {describe(row)} ({rows} of {len(bad):,}).{most} Correct "
+        "the file, or drop and count such rows with drop_invalid (--drop-invalid)."
     )

@@ -8,13 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from crashrate.errors import EventsError, ExpressionError
-from crashrate.events.faults import Fault, sift
+from crashrate.events.faults import UNITS, Fault, sift
 from crashrate.events.sources import Column, Source, open_source
 from crashrate.events.table import EventTable
 from crashrate.expressions import Expression
 from crashrate.variables import FloatArray, Variable, nearest
 
 MIN_EVENTS = 2
+NOT_CLOSING = "not closing"  # rows that are no encounter, and nothing is wrong with
+# Of the encounters: if more were dropped as invalid, those that are left are no fair sample.
+INVALID_SHARE = 0.1
 
 
 def read_events(
@@ -69,6 +72,12 @@ def read_events(
     _require_events(path, len(values), int(kept.sum()), dropped)
     rows = np.flatnonzero(kept)
     return EventTable(names, values[rows], str(path), rows, dropped, int(n_on_bound[rows].sum()))
+
+
+def invalid_share(n_events: int, dropped: Mapping[str, int]) -> float:
+    """Share of the recorded encounters that were dropped, by reason, because they are invalid."""
+    invalid = sum(n for reason, n in dropped.items() if reason != NOT_CLOSING)
+    return invalid / (n_events + invalid) if invalid else 0.0
 
 
 # --- columns
@@ -179,7 +188,7 @@ def _not_closing(
     values: FloatArray, names: tuple[str, ...], closing: str | None
 ) -> Iterable[Fault]:
     if closing is not None:
-        yield Fault("not closing", values[:, names.index(closing)] <= 0.0, describe=None)
+        yield Fault(NOT_CLOSING, values[:, names.index(closing)] <= 0.0, describe=None)
 
 
 def _undefined(
@@ -215,8 +224,11 @@ def _say_outside(variable: Variable, values: FloatArray, row: int) -> str:
 def _require_events(path: Path, n_read: int, n_kept: int, dropped: Mapping[str, int]) -> None:
     if n_kept >= MIN_EVENTS:
         return
-    why = ", ".join(f"{n} {reason}" for reason, n in dropped.items()) or "no row was dropped"
+    if not dropped:
+        rows = "1 row" if n_read == 1 else f"{n_read} rows"
+        raise EventsError(f"{path}: expected at least {MIN_EVENTS} events, got {rows}.")
+    why = ", ".join(f"{n:,} {reason}" for reason, n in dropped.items())
     raise EventsError(
-        f"{path}: expected at least {MIN_EVENTS} events, got {n_kept} of {n_read} rows ({why}); "
-        "are the columns in the units of the scenario?"
+        f"{path}: expected at least {MIN_EVENTS} events, got {n_kept} of {n_read:,} rows ({why}); "
+        f"{UNITS[0].lower()}{UNITS[1:]}"
     )

@@ -69,6 +69,10 @@ class Check:
                 and self.extremes is not None
                 and _apart(self.extremes.alarm_interval, claimed)
             ),
+            Alarm.NEAR_MISSES_DISAGREE: any(tail.misfit for tail in self.tails),
+            Alarm.TRAFFIC_UNDETERMINED: (
+                self.influential is not None and self.influential.open_wide
+            ),
             Alarm.REPLAY_DISAGREES: _apart(self.replay.interval, claimed),
             Alarm.FEW_EVENTS_DECIDE: self.influential is not None and self.influential.few,
         }

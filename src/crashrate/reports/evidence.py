@@ -6,6 +6,7 @@ from typing import Any
 
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.estimate import Estimate, in_words
+from crashrate.estimation.width import width_text
 from crashrate.reports.numbers import (
     MISSING,
     count,
@@ -32,7 +33,7 @@ def evidence(record: RunRecord, estimate: Estimate) -> tuple[Fact, ...]:
     """What the estimate rests on."""
     return (
         *_answer(record, estimate),
-        *_runs(estimate),
+        *_runs(record, estimate),
         *_quality(estimate),
         *_efficiency(estimate),
         *_origin(record, estimate),
@@ -40,7 +41,8 @@ def evidence(record: RunRecord, estimate: Estimate) -> tuple[Fact, ...]:
 
 
 def _relative(e: Estimate) -> str:
-    return f" (± {percent(e.relative_half_width)})" if e.relative_half_width <= 1 else ""
+    width = width_text(e.probability, e.interval)
+    return width and f" ({width})"
 
 
 def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
@@ -49,14 +51,14 @@ def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
     return (
         Fact(
             "Probability",
-            power_of_ten(e.probability) if e.probability > 0 else _undetermined(e),
+            power_of_ten(e.probability) if e.determined else _undetermined(e),
             "Of one encounter, drawn from traffic.",
         ),
         Fact(
             f"{100 * e.confidence:g} % interval",
             interval_text(e.interval) + _relative(e) if e.goal == "probability" else "none",
-            "Holds the true probability in that share of campaigns, for this traffic model and "
-            "this simulator.",
+            "Made to hold the probability in that share of campaigns, for this traffic model and "
+            "this simulator; what an alarm doubts may be outside it.",
         ),
         *_traffic_range(e),
         *_replay(record),
@@ -143,7 +145,7 @@ def _bounds_meaning(e: Estimate) -> str:
     return text + ("; here some outcomes contradict it." if contradicted else ".")
 
 
-def _runs(e: Estimate) -> tuple[Fact, ...]:
+def _runs(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
     return (
         Fact("Simulator runs", count(e.n_calls), "All of them, exploration included."),
         Fact("Crashes", count(e.n_crashes), "Runs that ended in a crash."),
@@ -152,8 +154,18 @@ def _runs(e: Estimate) -> tuple[Fact, ...]:
             count(e.n_failed),
             "Runs without an outcome; counted both as crashes and as safe, never left out.",
         ),
-        Fact("Stopped because", e.stop_reason.value, "A campaign stops by a rule set beforehand."),
+        Fact("Stopped because", e.stop_reason.value, _asked(record)),
     )
+
+
+def _asked(record: RunRecord) -> str:
+    """What the target was, and the budget."""
+    target = record.result.get("target")
+    if not target:  # of an earlier version
+        return "A campaign stops by a rule set beforehand."
+    width = percent(target["relative_half_width"])
+    about = target.get("aim") or f"P({record.scenario.outcome.event})"
+    return f"Asked for: ± {width} of {about}, with at most {target['max_calls']:,} runs."
 
 
 def _quality(e: Estimate) -> tuple[Fact, ...]:

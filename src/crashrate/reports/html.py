@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 from crashrate.errors import StoreError
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.consequence import Consequence
-from crashrate.estimation.estimate import Estimate, in_words
-from crashrate.reports.evidence import accelerates, evidence
+from crashrate.estimation.estimate import Estimate
+from crashrate.reports.evidence import evidence
+from crashrate.reports.key_figures import key_figures, width
+from crashrate.reports.learned import order_dropped
 from crashrate.reports.likeliest import likeliest_crashes
 from crashrate.reports.numbers import interval_text, percent, power_of_ten
 from crashrate.reports.panel import Panel
 from crashrate.reports.recordings import check_of, sheets
 from crashrate.reports.results import estimate_of
+from crashrate.runs.looked_at import why_not_looked_at
 from crashrate.runs.record import RunRecord
 
 if TYPE_CHECKING:
@@ -70,13 +73,15 @@ def render_report(record: RunRecord) -> str:
         running=estimate.stop_reason is StopReason.RUNNING,
         outcome=record.scenario.outcome,
         estimate=estimate,
-        sentence=_sentence(record, estimate),
-        key_figures=_key_figures(record, estimate),
+        sentences=_sentences(record, estimate),
+        key_figures=key_figures(estimate, record.scenario.outcome),
         consequences=_consequences(estimate),
         facts=evidence(record, estimate),
         panels=_panels(record, estimate),
         crashes=likeliest_crashes(record),
         sheets=sheets(record),
+        order_dropped=order_dropped(record),
+        unchecked=why_not_looked_at(record.result),
         all_alarms=tuple(Alarm),
         plotly_js=get_plotlyjs(),
     )
@@ -99,41 +104,16 @@ def _template() -> "Template":
     return environment.get_template(TEMPLATE)
 
 
-def _sentence(record: RunRecord, estimate: Estimate) -> str:
+def _sentences(record: RunRecord, estimate: Estimate) -> tuple[str, ...]:
+    """What was aimed at, first; then the event."""
     outcome = record.scenario.outcome
-    sentence = record.result.get("sentence") or estimate.sentence(outcome.event, outcome.per)
-    return _SCIENTIFIC.sub(lambda found: power_of_ten(float(found[0])), str(sentence))
+    event = record.result.get("sentence") or estimate.sentence(outcome.event, outcome.per)
+    aimed = (c.sentence(outcome.per) for c in estimate.consequences if c.aimed)
+    return tuple(_typeset(str(text)) for text in (*aimed, event))
 
 
-def _key_figures(record: RunRecord, estimate: Estimate) -> tuple[tuple[str, str], ...]:
-    """The answer in three short lines; none where there is no estimate."""
-    p, outcome = estimate.probability, record.scenario.outcome
-    if estimate.goal == "bounds" and estimate.bounds[0] > 0:
-        return (
-            (
-                f"{power_of_ten(estimate.bounds[0])} … {power_of_ten(estimate.bounds[1])}",
-                f"bounds of P({outcome.event}) per {outcome.per}, if the risk order holds",
-            ),
-            (f"× {estimate.bounds_factor:.3g}", "upper over lower bound"),
-            (f"{estimate.n_calls:,} runs", "of the simulator"),
-        )
-    if not p > 0:
-        return ()
-    return (
-        (power_of_ten(p), f"P({outcome.event}) per {outcome.per}: about one in {in_words(1 / p)}"),
-        (
-            _width(estimate),
-            f"{100 * estimate.confidence:g} % interval, {interval_text(estimate.interval)}",
-        ),
-        (f"{estimate.n_calls:,} runs", _effort(estimate)),
-    )
-
-
-def _width(estimate: Estimate) -> str:
-    """Half the interval over the estimate; its upper end where that is more than the estimate."""
-    if estimate.relative_half_width <= 1:
-        return f"± {percent(estimate.relative_half_width)}"
-    return f"≤ {power_of_ten(estimate.interval[1])}"
+def _typeset(sentence: str) -> str:
+    return _SCIENTIFIC.sub(lambda found: power_of_ten(float(found[0])), sentence)
 
 
 def _consequences(estimate: Estimate) -> tuple[tuple[str, str, str, str, int], ...]:
@@ -153,14 +133,8 @@ def _consequences(estimate: Estimate) -> tuple[tuple[str, str, str, str, int], .
 
 
 def _about(c: Consequence) -> str:
-    return f" (± {percent(c.relative_half_width)})" if c.determined else ""
-
-
-def _effort(estimate: Estimate) -> str:
-    if not accelerates(estimate):
-        return "of the simulator"
-    calls = in_words(estimate.crude_monte_carlo_calls)
-    return f"of the simulator, in place of {calls} by crude Monte Carlo"
+    about = width(c.mean, c.interval) if c.determined else ""
+    return about and f" ({about})"
 
 
 def _panels(record: RunRecord, estimate: Estimate) -> tuple[Panel, ...]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from crashrate.crash_set.monotone_set import MonotoneSet
 from crashrate.crash_set.order import RiskOrder
+from crashrate.estimation.alarms import Alarm
 from crashrate.reports.axes import Axis, risk_axes
 from crashrate.reports.likeliest import by_density
 from crashrate.runs.record import RunRecord
@@ -68,9 +69,9 @@ class Learned:
 
 
 def learned_set(record: RunRecord) -> Learned | None:
-    """What the run learned; None without a declared order or without a simulator run."""
+    """What the run learned; None without a simulator run, or an order that is declared and held."""
     mapping = record.scenario.risk_mapping()
-    if mapping is None or not len(record.x):
+    if mapping is None or not len(record.x) or order_dropped(record):
         return None
     order = RiskOrder.from_mapping(mapping, record.traffic.names)
     u = order(record.x)
@@ -94,6 +95,13 @@ def learned_set(record: RunRecord) -> Learned | None:
         reference_is_crash=bool(len(crashes)),
         lower=lower,
         upper=upper,
+    )
+
+
+def order_dropped(record: RunRecord) -> bool:
+    """Whether the campaign gave the declared order up."""
+    return any(
+        alarm["name"] == Alarm.ORDER_DROPPED.name for alarm in record.result.get("alarms", ())
     )
 
 

@@ -9,7 +9,7 @@ from crashrate.reports.figures.learned_set import (
 )
 from crashrate.reports.figures.runs import line_plot, runs_plots
 from crashrate.reports.figures.section import NEAR, section_plots
-from crashrate.reports.learned import Learned, learned_set
+from crashrate.reports.learned import Learned, learned_set, order_dropped
 from crashrate.reports.panel import Panel
 from crashrate.runs.record import RunRecord
 
@@ -27,8 +27,13 @@ def learned_panels(record: RunRecord) -> tuple[Panel, ...]:
         return (Panel(_KEY, _TITLE, "No simulator run yet."),)
     learned = learned_set(record)
     if learned is None:
-        text = "The simulator runs. No risk order is declared, so that they imply nothing about "
-        return (Panel(_KEY, _TITLE, text + "other situations.", runs_plots(record)),)
+        why = (
+            "The declared risk order was dropped"
+            if order_dropped(record)
+            else "No risk order is declared"
+        )
+        text = f"The simulator runs. {why}, so that they imply nothing about other situations."
+        return (Panel(_KEY, _TITLE, text, runs_plots(record)),)
     if len(learned.axes) == 1:
         return (Panel(_KEY, _TITLE, _line_caption(learned), (line_plot(learned),), wide=True),)
     dominating, remark = _dominating(record, learned)

@@ -10,6 +10,7 @@ from crashrate.recordings.replay import Replay
 from crashrate.recordings.rivals import Rival
 from crashrate.reports.axes import units_of, variable_axes
 from crashrate.reports.numbers import count, interval_text, percent, plain, power_of_ten
+from crashrate.runs.looked_at import why_not_looked_at
 from crashrate.runs.record import RunRecord
 
 
@@ -35,7 +36,7 @@ class Sheet:
 def check_of(record: RunRecord) -> Check | None:
     """What the run's recordings said; None where none were at hand."""
     values = record.result.get("recordings")
-    if not values or "pending" in values:
+    if not values or why_not_looked_at(record.result):
         return None
     found, units = Check.from_dict(values), units_of(record.scenario)
     named = (replace(t, unit=t.unit or units.get(t.name, "")) for t in found.tails)
@@ -193,7 +194,7 @@ def _tails(tails: tuple[Tail, ...], rivals: tuple[Rival, ...]) -> Sheet:
         for i, (level, n, expected, low, high) in enumerate(sides):
             sign = "≥" if tail.sign > 0 else "≤"
             what = f"{tail.name} {sign} {plain(level, 3)} {tail.unit}".rstrip()
-            odd = "" if low <= expected <= high else " (outside)"
+            odd = " (outside)" if tail.outside[i] else ""
             others = [_amount(r.near_misses[k][i]) for r in rivals]
             between = f"{_amount(low)} to {_amount(high)}"
             rows.append((what, count(n), _amount(expected) + odd, between, *others))
@@ -202,8 +203,8 @@ def _tails(tails: tuple[Tail, ...], rivals: tuple[Rival, ...]) -> Sheet:
         "Near misses",
         "How many events come at least as near to a crash as a level, and how many the traffic "
         "model expects. “95 % if right” is where the expected number lies for 95 % of recordings "
-        "if the model is right: one row in twenty lies outside by chance, several of one quantity "
-        "say that the model misses its tail. TTC is the time to collision, range over closing "
+        "if the model is right: one row in twenty lies outside by chance; two of one quantity, "
+        "at 99 %, raise an alarm. TTC is the time to collision, range over closing "
         "speed; DRAC the deceleration that avoids it, closing speed² / (2 range); the minimum gap "
         "is that of the simulated encounter.",
         ("Level", "Events", "Expected", "95 % if right", *(_named(r) for r in rivals)),

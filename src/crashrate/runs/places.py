@@ -5,6 +5,8 @@ from pathlib import Path
 
 from crashrate import datasets
 from crashrate.errors import InvalidInputError, StoreError
+from crashrate.runs.result import REPORT, RESULT
+from crashrate.runs.store import RunStore
 from crashrate.traffic.model import TrafficModel
 from crashrate.traffic.model_json import from_document
 
@@ -64,6 +66,25 @@ def require_folder_place(path: Path) -> None:
             f"{path}: {there} cannot be written to (no permission, or read-only); choose another "
             "--out."
         )
+
+
+def require_run_place(path: Path) -> None:
+    """Refuse a folder for a run whose files would be written over others of their names.
+
+    Raises
+    ------
+    StoreError
+        Saying what is in the way.
+    """
+    require_folder_place(path)
+    if RunStore.exists(path):
+        return
+    for name in (RESULT, REPORT):
+        if (path / name).exists():
+            raise StoreError(
+                f"{path}: holds a {name}, but no run that it is of; a run would write over it. "
+                "Move it away, or choose another --out."
+            )
 
 
 def traffic_named(text: str) -> TrafficModel:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from crashrate.errors import InvalidInputError, StoreError
-from crashrate.estimation.methods import LEARNING
 from crashrate.events import EventTable
+from crashrate.runs.looked_at import unchecked_by
 from crashrate.traffic.model import TrafficModel
 
 ENDING = ".events.parquet"
@@ -70,20 +70,17 @@ def write_events(traffic: Path, events: EventTable) -> Path:
 def events_for(traffic: str, model: TrafficModel, method: str) -> tuple[EventTable | None, str]:
     """The events behind the model in file `traffic`, for a run by `method`; or why there are none.
 
-    Both are empty for a model that was fitted to no events of which a copy was written.
-
     Raises
     ------
     InvalidInputError
         As `read_events_beside`.
     """
     if not _known(model):
-        return None, ""
-    skipped = "the recordings are not replayed, and the model's tail is not checked."
-    if method not in LEARNING:
-        return None, f"the method {method!r} learns no crash set: {skipped}"
+        return None, "it comes without events"
+    if unchecked := unchecked_by(method):
+        return None, unchecked
     events = read_events_beside(Path(traffic), model)
-    missing = f"no {events_path(Path(traffic))}, which 'crashrate fit' writes: {skipped}"
+    missing = f"there is no {events_path(Path(traffic))}, which 'crashrate fit' writes"
     return events, "" if events else missing
 
 

@@ -11,7 +11,7 @@ from crashrate.runs.configuration import versions
 from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
-RESULT = "result.json"
+RESULT, REPORT = "result.json", "report.html"
 REQUIRED = ("schema", "probability", "interval", "n_calls", "stop_reason", "synthetic")
 
 

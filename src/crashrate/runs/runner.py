@@ -8,7 +8,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,8 +17,7 @@ import numpy as np
 
 from crashrate.errors import SimulationError, StoreError
 from crashrate.estimation.campaign import Campaign
-from crashrate.estimation.estimate import Estimate, json_ready
-from crashrate.estimation.methods import LEARNING
+from crashrate.estimation.estimate import Estimate
 from crashrate.estimation.strategy import Problem
 from crashrate.events import EventTable
 from crashrate.recordings.check import Check
@@ -40,6 +39,14 @@ from crashrate.runs.configuration import (
     versions,
     vouched,
 )
+from crashrate.runs.looked_at import (
+    NO_EVENTS,
+    doubted,
+    entry,
+    found_before,
+    unchecked_by,
+    why_unsettled,
+)
 from crashrate.runs.only_writer import is_being_written, only_writer
 from crashrate.runs.result import read_result, result_dict, write_result
 from crashrate.runs.scenario import Scenario
@@ -51,8 +58,6 @@ from crashrate.variables import FloatArray
 
 Value = TypeVar("Value", int, float, str)
 
-# in the place of what the recordings say, until they have been looked at
-PENDING = {"pending": "the recordings are not replayed yet: the same 'run' command does it"}
 SECONDS_BETWEEN_RESULTS = 1.0  # so that status can follow a run, and writing costs nothing
 
 
@@ -70,6 +75,7 @@ def run(
     batch_size: int = Problem.batch_size,
     same_vehicle: bool = False,
     events: EventTable | None = None,
+    without_events: str = NO_EVENTS,
     replay_calls: int = REPLAY_CALLS,
     on_progress: Callable[[Campaign], None] | None = None,
     say: Callable[[str], None] | None = None,
@@ -98,6 +104,8 @@ def run(
         Whether the stored outcomes count although the simulator's source was edited since.
     events : EventTable, optional
         That the traffic model was fitted to: replayed at the end, and compared with the model.
+    without_events : str
+        Why there are none: kept with the result, so that a reader knows what was not checked.
     replay_calls : int
         Most simulator runs that the replay may take, beside the campaign's budget.
     on_progress : callable, optional
@@ -152,16 +160,19 @@ def run(
             sitting = _Sitting(
                 directory,
                 scenario,
+                traffic,
                 campaign,
                 simulate,
                 store,
                 on_progress or _ignore,
-                events is not None and campaign.method in LEARNING,
+                without_events if events is None else unchecked_by(campaign.method),
             )
             estimate = _go_on(sitting, _replay(sitting))
             belief = campaign.snapshot.belief
-            if events is None or belief is None:
+            if events is None or sitting.unchecked:
                 return estimate
+            if belief is None:
+                return _write(sitting, estimate, unchecked=why_unsettled(estimate))
             comparison = Comparison(
                 events, traffic, belief, scenario.severity, seed, target.confidence
             )
@@ -240,11 +251,12 @@ class _Sitting:
 
     directory: Path
     scenario: Scenario
+    traffic: TrafficModel
     campaign: Campaign
     simulate: Simulate
     store: RunStore
     on_progress: Callable[[Campaign], None]
-    awaits_check: bool
+    unchecked: str  # why the recordings will not be looked at; empty where they will
 
     def simulated(self, x: FloatArray) -> FloatArray:
         """Outcomes (n,) of `x` (n, d), checked."""
@@ -288,25 +300,7 @@ def _checked(
         found = check_recordings(sitting, comparison, max_calls=max_calls, say=say)
     for part, why in found.failed.items():
         warnings.warn(f"checking the recordings, {part}: {why}", stacklevel=2)
-    _write(sitting, estimate, found)
-    return _doubted(estimate, found)
-
-
-def _doubted(estimate: Estimate, found: Check) -> Estimate:
-    return replace(estimate, alarms=(*estimate.alarms, *found.alarms(estimate)))
-
-
-def _found_before(directory: Path, estimate: Estimate) -> Check | None:
-    """What the recordings said of this very estimate when they were last looked at."""
-    try:
-        before = read_result(directory)
-        same = (before["n_calls"], before["probability"]) == (
-            estimate.n_calls,
-            json_ready(estimate.probability),
-        )
-        return Check.from_dict(before["recordings"]) if same else None
-    except (StoreError, KeyError, TypeError, ValueError):  # none, or of an earlier version
-        return None
+    return _write(sitting, estimate, found)
 
 
 def _say_nothing(_: str) -> None:
@@ -377,20 +371,19 @@ def _go_on(sitting: _Sitting, k: int) -> Estimate:
                 _write(sitting, estimate)
                 written = time.monotonic()
     finally:
-        _write(sitting, estimate)
-    return estimate
+        told = _write(sitting, estimate)
+    return told
 
 
-def _write(sitting: _Sitting, estimate: Estimate, found: Check | None = None) -> None:
-    found = found or _found_before(sitting.directory, estimate)
-    if found is not None:
-        estimate = _doubted(estimate, found)
+def _write(
+    sitting: _Sitting, estimate: Estimate, found: Check | None = None, unchecked: str = ""
+) -> Estimate:
+    """Write the result; the estimate with the alarms that the recordings raise."""
+    found = found or found_before(sitting.directory, estimate)
+    estimate = doubted(estimate, sitting.traffic, found)
     result = result_dict(estimate, sitting.scenario, sitting.campaign.problem)
-    if sitting.awaits_check and found is None:
-        result["recordings"] = PENDING
-    if found is not None:
-        sentences = {"sentences": found.sentences(estimate)}
-        result["recordings"] = json_ready(found.to_dict()) | sentences
+    result["recordings"] = entry(found, estimate, unchecked or sitting.unchecked)
     if text := sitting.store.config().get(VOUCHED):
         result["vouched_sources"] = json.loads(text)
     write_result(sitting.directory, result)
+    return estimate

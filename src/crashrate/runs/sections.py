@@ -162,6 +162,11 @@ def read_risk(root: Table, known: tuple[str, ...]) -> Mapping[str, Direction] | 
 
 def read_simulator(section: Table) -> SimulatorChoice:
     """The simulator, with the keys of its kind."""
+    if not section.values:
+        raise section.error(
+            "expected the vehicle under test, such as kind = 'python' and function = "
+            "'my_vehicle:simulate', got nothing"
+        )
     kind = section.text("kind")
     if kind not in SIMULATOR_KEYS:
         raise section.error(f"unknown kind {kind!r}{nearest(kind, tuple(SIMULATOR_KEYS))}")
