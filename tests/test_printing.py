@@ -9,7 +9,7 @@ import pytest
 
 from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.strategy import Snapshot
-from crashrate.printing import print_fit, print_selection, standing
+from crashrate.printing import Format, print_fit, print_result, print_selection, standing
 from crashrate.traffic.model import TrafficModel
 
 
@@ -122,3 +122,62 @@ def test_progress_of_bounds():
     shown = standing(under_way(goal="bounds", snapshot=Snapshot(bounds=(1e-7, 3e-7))))
     assert shown == "80 of at most 2,000 runs, explore: 1.0e-07 ≤ P ≤ 3.0e-07 (target ± 10 %)"
     assert standing(under_way(goal="bounds")) == "80 of at most 2,000 runs, explore"
+
+
+def shown_result(capsys, **changes):
+    plain = {
+        "sentence": "P(crash) = 2.0e-06 per encounter",
+        "stop_reason": "the target was met",
+        "alarms": [],
+        "synthetic": False,
+        "n_calls": 120,
+        "traffic": {"n_members": 41, "events": {"n": 5000}},
+        "recordings": {"sentences": ["replay: as it was"]},
+    }
+    print_result(plain | changes, Format.TEXT)
+    return capsys.readouterr()
+
+
+def test_a_result_that_was_checked_needs_no_note(capsys):
+    shown = shown_result(capsys)
+    assert shown.out == "P(crash) = 2.0e-06 per encounter\nreplay: as it was\n"
+    assert shown.err == "Stopped: the target was met.\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "note"),
+    [
+        (
+            {"recordings": {"unchecked": "it comes without events"}},
+            "not checked against recordings: it comes without events.",
+        ),
+        ({"recordings": {"pending": "not replayed yet"}}, "Note: not replayed yet."),
+        ({"traffic": {"n_members": 0, "events": {"n": 5000}}}, "Note: one fit to the events"),
+        (
+            {"vouched_sources": [{"n_runs": 1}, {"n_runs": 80}]},
+            "the simulator was edited after 80 runs; the outcomes from before were kept",
+        ),
+    ],
+)
+def test_what_nobody_checked_is_noted(capsys, changes, note):
+    assert note in shown_result(capsys, **changes).err
+
+
+def test_one_fit_to_drawn_events_or_to_none_needs_no_further_ones(capsys):
+    for events, synthetic in (({"n": 5000}, True), ({}, False)):
+        traffic = {"n_members": 0, "events": events}
+        shown = shown_result(capsys, traffic=traffic, synthetic=synthetic)
+        assert "one fit" not in shown.err
+
+
+def test_what_was_aimed_at_comes_first(capsys):
+    injury = {"sentence": "E(injury) = 1e-07", "aimed": True}
+    fast = {"sentence": "E(fast) = 1e-08", "aimed": False}
+    shown = shown_result(capsys, consequences=[fast, injury]).out.splitlines()
+    assert [line[:9] for line in shown[:3]] == ["E(injury)", "P(crash) ", "E(fast) ="]
+
+
+def test_draws_that_ended_ask_for_no_larger_budget(capsys):
+    shown = shown_result(capsys, stop_reason="the budget of draws from the proposal ended").err
+    assert "a larger --max-calls changes nothing" in shown
+    assert "goes on from here" not in shown

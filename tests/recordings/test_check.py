@@ -57,6 +57,20 @@ def test_a_tail_too_heavy_is_seen_on_the_ladder(heavy):
     assert Alarm.TAIL_MISFIT in heavy.alarms(ANSWER)
 
 
+def test_near_misses_raise_an_alarm_where_the_model_misses_them(right, heavy):
+    assert not any(tail.misfit for tail in right.tails)
+    assert Alarm.NEAR_MISSES_DISAGREE in heavy.alarms(ANSWER)
+
+
+def test_events_that_leave_the_number_wide_open_raise_an_alarm(right):
+    """Also where no further fits say so."""
+    assert right.influential.relative_error < 0.7
+    assert Alarm.TRAFFIC_UNDETERMINED not in right.alarms(ANSWER)
+    open_wide = replace(right, influential=replace(right.influential, relative_error=2.6))
+    assert "a factor 72.0 either way" in open_wide.sentences(ANSWER)[1]
+    assert Alarm.TRAFFIC_UNDETERMINED in open_wide.alarms(ANSWER)
+
+
 def test_an_answer_that_events_exclude_is_seen(right):
     answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=None, alarms=())
     right = replace(right, ladder=None)

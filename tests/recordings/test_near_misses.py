@@ -68,3 +68,19 @@ def test_rounded_values_count_with_their_ties():
     assert tail.levels == tuple(sorted(set(tail.levels), reverse=True))  # no level twice
     assert tail.counts == tuple(int((events >= level).sum()) for level in tail.levels)
     assert all(inside(tail))
+
+
+def test_a_misfit_is_rare_where_the_model_is_right():
+    """Three levels of a quantity, outside at two of them at 99 %: about one recording in 300."""
+    assert sum(found(seed).misfit for seed in range(60)) <= 1
+
+
+@pytest.mark.parametrize("deviation", [0.9, 1.1])
+def test_a_misfit_is_seen_on_either_side(deviation):
+    assert all(found(seed, deviation).misfit for seed in range(10))
+
+
+def test_one_level_outside_is_no_misfit():
+    tail = found(0)
+    odd = Tail.from_dict(tail.to_dict() | {"expected": [0.0, *tail.expected[1:]]})
+    assert odd.outside == (True, *tail.outside[1:])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from crashrate.errors import NumericalError, ScenarioError, SimulationError
+from crashrate.estimation.alarms import Alarm
 from crashrate.events import EventTable
 from crashrate.recordings import check
 from crashrate.runs import runner
@@ -71,6 +72,32 @@ def test_replay_is_no_part_of_the_campaign(go, tmp_path, scenario, rare):
     assert with_events.probability == alone.probability
     assert recordings(tmp_path / "alone") == {"unchecked": "no events were at hand"}
     assert len(load_run(tmp_path / "with").x) == alone.n_calls
+
+
+def test_a_campaign_that_found_no_crash_says_why_nothing_was_replayed(go, tmp_path, monkeypatch):
+    monkeypatch.setattr(Scenario, "simulator", lambda _: lambda x: np.zeros(len(x)))
+    go(tmp_path / "run", max_calls=40)
+    assert recordings(tmp_path / "run") == {
+        "unchecked": "no crash was found, so nothing was learned that could settle the recorded "
+        "events"
+    }
+
+
+@pytest.mark.parametrize(
+    ("dropped", "raised"),
+    [
+        ({"not closing": 9000}, False),  # no encounters, and nothing is wrong with them
+        ({"with a out of bounds": N // 10}, False),
+        ({"with a out of bounds": N // 8, "not closing": 5}, True),
+    ],
+)
+def test_many_rows_dropped_as_invalid_raise_an_alarm(scenario, rare, tmp_path, dropped, raised):
+    origin = {"n": N, "dropped": dropped, "sha256": "", "source": "a.csv"}
+    model = replace(rare, provenance={"events": origin})
+    estimate = runner.run(scenario, model, tmp_path / "run", seed=1, max_calls=60)
+    assert (Alarm.EVENTS_DROPPED in estimate.alarms) == raised
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert any(a["name"] == "EVENTS_DROPPED" for a in result["alarms"]) == raised
 
 
 def test_few_replays_leave_events_in_doubt(go, tmp_path):

@@ -2,7 +2,13 @@ import pytest
 
 from crashrate import datasets
 from crashrate.errors import InvalidInputError, StoreError
-from crashrate.runs.places import require_file_place, require_folder_place, traffic_named
+from crashrate.runs.places import (
+    require_file_place,
+    require_folder_place,
+    require_run_place,
+    traffic_named,
+)
+from crashrate.runs.store import RunStore
 
 
 def test_places_that_can_be_made_are_fine(tmp_path):
@@ -19,6 +25,18 @@ def test_what_is_in_the_way_is_named(tmp_path):
     for place in (tmp_path / "file", tmp_path / "file" / "deep" / "run"):
         with pytest.raises(StoreError, match="file is a file; choose another --out"):
             require_folder_place(place)
+
+
+@pytest.mark.parametrize("name", ["result.json", "report.html"])
+def test_a_run_writes_over_no_file_that_is_not_its_own(tmp_path, name):
+    require_run_place(tmp_path)
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(StoreError, match=f"holds a {name}, but no run that it is of"):
+        require_run_place(tmp_path)
+    (tmp_path / name).unlink()
+    RunStore.create(tmp_path, {}).close()
+    (tmp_path / name).write_text("of that run")
+    require_run_place(tmp_path)
 
 
 def test_no_permission_is_told(tmp_path, monkeypatch):
