@@ -251,3 +251,16 @@ def test_holes_in_the_crash_set_are_seen_and_counted(cases, check_coverage):
     doubts = {Alarm.ORDER_DROPPED, Alarm.ORDER_CONTRADICTED}
     # a campaign ends early, and without a doubt, where its first few audits meet no hole: one of 32
     assert sum(bool(doubts & set(e.alarms)) for e in got) >= 5
+
+
+@pytest.mark.parametrize(("seed", "max_calls"), [(7005, 244), (7008, 232)])
+def test_a_budget_that_ends_in_learning_keeps_what_was_estimated(cases, seed, max_calls):
+    """The last round learned, and had held many times the probability of its pool before.
+
+    Seen so, it refuted every round that was right; seen by its own outcomes it refutes none.
+    """
+    case = cases.disc(risk=cases.increasing(2))
+    got = case.estimate(seed=seed, max_calls=max_calls)
+    assert got.n_calls == max_calls
+    assert got.determined
+    assert got.probability == pytest.approx(case.probability, rel=0.2)
