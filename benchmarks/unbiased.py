@@ -45,12 +45,13 @@ class Redrawn:
 
 
 @contextmanager
-def spied(views: list[View]) -> Iterator[None]:
-    """Keep the view of every estimating round in `views`."""
+def spied(seen: list[tuple[View, rounds.Round]]) -> Iterator[None]:
+    """Keep every estimating round in `seen`, with the view that it was drawn from."""
 
     def measure(view: View, drawn: Drawn, outcomes: Any) -> rounds.Round:
-        views.append(view)
-        return rounds.measure(view, drawn, outcomes)
+        found = rounds.measure(view, drawn, outcomes)
+        seen.append((view, found))
+        return found
 
     original, sequential.measure = sequential.measure, measure
     try:
@@ -95,13 +96,13 @@ HOWS = ("as it is", "weights forgotten", "surrogate trusted", "order trusted")
 
 def study(name: str, seed: int) -> dict[str, list[Redrawn]]:
     """Every estimating round of a campaign, redrawn, by how it was spoilt."""
-    problem, views = PROBLEMS[name](), []
-    with spied(views):
+    problem, seen = PROBLEMS[name](), []
+    with spied(seen):
         crashrate.estimate(
             problem.crash, problem.traffic, risk=problem.risk, seed=seed, max_calls=400
         )
     rng = np.random.default_rng(seed)
-    chosen = views[:: max(len(views) // 3, 1)]
+    chosen = [view for view, _ in seen[:: max(len(seen) // 3, 1)]]
     truths = [np.asarray(problem.crash(v.pool.x), dtype=float) for v in chosen]
     return {
         how: [redrawn(v, y, rng, how) for v, y in zip(chosen, truths, strict=True)] for how in HOWS
