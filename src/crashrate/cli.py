@@ -189,7 +189,7 @@ def fit(
             n_restarts=restarts,
             n_members=ensemble,
             workers=workers,
-            on_step=lambda done, total, message: say(f"fit {done} of {total}: {message}"),
+            on_step=lambda done, total, message: say(f"{done} of {total} fits done: {message}"),
         )
     out.parent.mkdir(parents=True, exist_ok=True)
     recorded.write_events(out, table)

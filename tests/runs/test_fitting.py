@@ -1,4 +1,5 @@
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,9 +39,16 @@ def test_fewer_than_ten_events_a_component_are_refused(events):
 
 
 def test_too_few_events_for_any_component_ask_for_more():
-    few = EventTable(("a",), np.zeros((9, 1)), "drawn", np.arange(9))
+    few = EventTable(("a",), np.arange(9.0)[:, None], "drawn", np.arange(9))
     with pytest.raises(InvalidInputError, match=r"got 9 events; give more events\.$"):
         fitting.require_enough(few, (1,))
+
+
+def test_a_constant_variable_is_refused_by_name(events):
+    values = np.array(events.values)
+    values[:, 0] = 20.0
+    with pytest.raises(InvalidInputError, match=r"e\.csv: expected events that differ in 'a'"):
+        fitting.require_enough(replace(events, values=values), (1,), "e.csv")
 
 
 @pytest.mark.parametrize(("n", "warned"), [(189, True), (190, False)])

@@ -50,13 +50,14 @@ def parse_components(text: str) -> tuple[int, ...]:
 def require_enough(
     events: EventTable, components: Sequence[int], path: str | Path = "events"
 ) -> None:
-    """Refuse to fit components to fewer than ten events each.
+    """Refuse to fit components to fewer than ten events each, or to a variable that is constant.
 
     Raises
     ------
     InvalidInputError
         Naming the file and the option.
     """
+    _require_varied(events, path)
     most = len(events) // EVENTS_PER_COMPONENT
     if max(components) <= most:
         return
@@ -65,6 +66,16 @@ def require_enough(
         f"{path}: expected at least {EVENTS_PER_COMPONENT} events for each of {max(components)} "
         f"components, got {len(events)} events; give more events{advice}."
     )
+
+
+def _require_varied(events: EventTable, path: str | Path) -> None:
+    """Refuse a variable that is the same in every event: it has no density."""
+    for name, column in zip(events.names, events.values.T, strict=True):
+        if column.min() == column.max():
+            raise InvalidInputError(
+                f"{path}: expected events that differ in {name!r}, got {column[0]:g} in all "
+                f"{len(events):,}; look at the column, or leave the variable out of the scenario."
+            )
 
 
 def tried(text: str, events: EventTable) -> tuple[int, ...]:
