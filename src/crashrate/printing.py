@@ -56,39 +56,10 @@ def _print_answers(result: Mapping[str, Any]) -> None:
         typer.echo(sentence)
 
 
-def _print_notes(result: Mapping[str, Any]) -> None:
-    """What is neither an answer nor a doubt, and yet to be known with either."""
-    recordings = result.get("recordings") or {}
-    if pending := recordings.get("pending"):
-        typer.echo(f"Note: {pending}.", err=True)
-    if unchecked := recordings.get("unchecked"):
-        typer.echo(
-            f"Note: the traffic model is not checked against recordings: {unchecked}.", err=True
-        )
-    if _is_one_fit(result):
-        typer.echo(
-            "Note: one fit to the events, and no others beside it: nothing says how far the events "
-            "determine this number; 'crashrate fit --ensemble 40' and a run in a new folder would.",
-            err=True,
-        )
-    if edits := result.get("vouched_sources"):
-        typer.echo(
-            f"Note: the simulator was edited after {runs(edits[-1]['n_runs'], 'run')}; the "
-            "outcomes from before were kept, at your word that they are the same (--same-vehicle).",
-            err=True,
-        )
-
-
-def _is_one_fit(result: Mapping[str, Any]) -> bool:
-    """Whether the traffic model is the only one that was fitted to recorded events."""
-    traffic = result.get("traffic") or {}
-    fitted = bool((traffic.get("events") or {}).get("n")) and not result["synthetic"]
-    return fitted and not traffic.get("n_members")
-
-
 def _print_doubts(result: Mapping[str, Any]) -> None:
     """How the run stands, and its alarms, on standard error."""
     from crashrate.estimation.alarms import StopReason
+    from crashrate.runs.notes import notes
 
     if result["synthetic"]:
         typer.echo(
@@ -103,7 +74,8 @@ def _print_doubts(result: Mapping[str, Any]) -> None:
             "changes nothing.",
             err=True,
         )
-    _print_notes(result)
+    for note in notes(result):
+        typer.echo(f"Note: {note}.", err=True)
     for alarm in result["alarms"]:
         typer.echo(f"Alarm: {alarm['message']}.", err=True)
     if found := result.get("order_suspect"):

@@ -172,7 +172,7 @@ def _quality(e: Estimate) -> tuple[Fact, ...]:
     return (
         Fact(
             "Effective sample size",
-            plain(e.n_eff, 3),
+            count(e.n_eff) if e.n_eff >= 100 else plain(e.n_eff, 3),
             "Equally weighted crashes that would be as precise. It can exceed the simulator runs: "
             "outcomes implied by the risk order, and what the fitted surrogate knows, count too.",
         ),

@@ -18,6 +18,7 @@ from crashrate.reports.panel import Panel
 from crashrate.reports.recordings import check_of, sheets
 from crashrate.reports.results import estimate_of
 from crashrate.runs.looked_at import why_not_looked_at
+from crashrate.runs.notes import notes
 from crashrate.runs.record import RunRecord
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ def render_report(record: RunRecord) -> str:
         crashes=likeliest_crashes(record),
         sheets=sheets(record),
         order_dropped=order_dropped(record),
+        notes=tuple(f"{note[0].upper()}{note[1:]}." for note in notes(record.result)),
         unchecked=why_not_looked_at(record.result),
         all_alarms=tuple(Alarm),
         plotly_js=get_plotlyjs(),
