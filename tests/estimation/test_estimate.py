@@ -108,6 +108,8 @@ def test_a_first_idea_is_no_estimate():
         "[0.0e+00, 3.0e-03]; 100 simulator runs, 40 of them crashed"
     )
     assert replace(ANSWER, interval=(0.0, 4e-6)).determined
+    assert not replace(ANSWER, probability=0.5, interval=(0.0, 1.0)).determined
+    assert replace(ANSWER, probability=0.95, interval=(0.88, 1.0)).determined
 
 
 def test_an_uneven_interval_is_said_by_its_two_sides():

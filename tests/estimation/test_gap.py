@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from crashrate.crash_set.order import RiskOrder
+from crashrate.estimation import gap as gaps
 from crashrate.estimation.exploration import inflated
 from crashrate.estimation.gap import Candidates, Gap, Look, aim_at_gap, candidates, closest, look
 from crashrate.estimation.labels import Labels
@@ -113,3 +114,10 @@ def test_doubt_is_a_distribution_that_peaks_at_one_half():
     seen = Look(np.arange(3), np.arange(1), np.array([0.01, 0.5, 0.99]), np.array([0.5]))
     assert seen.doubt.sum() == pytest.approx(1)
     assert seen.doubt.argmax() == 1
+
+
+def test_a_run_that_decides_all_has_a_finite_gain():
+    """In single precision 1 - 1e-9 is 1."""
+    h, all_of_it = np.array([0.0, 0.5, 1.0], np.float32), np.full(3, 0.1, np.float32)
+    gain = gaps._gain(h, all_of_it, all_of_it, 0.0, 0.1)
+    assert np.isfinite(gain).all()

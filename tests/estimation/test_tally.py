@@ -10,8 +10,9 @@ from crashrate.estimation.tally import Tally
 
 def test_sums_do_not_depend_on_how_the_draws_arrive():
     z = np.random.default_rng(0).exponential(size=100)
-    once, twice = Tally().add(z, 2.0), Tally().add(z[:30], 2.0).add(z[30:])
-    for name in ("n", "total", "squares", "largest", "failed"):
+    lost = np.array([0.5, 1.5])
+    once, twice = Tally().add(z, lost), Tally().add(z[:30], lost[:1]).add(z[30:], lost[1:])
+    for name in ("n", "total", "squares", "largest", "failed", "failed_squares", "n_zero"):
         assert getattr(once, name) == pytest.approx(getattr(twice, name))
 
 
@@ -40,9 +41,25 @@ def test_crude_monte_carlo_has_log_efficiency_one():
 
 def test_failed_draws_widen_the_interval_by_what_they_could_add():
     z = np.repeat([0.1, 0.0], [10, 90])
-    sure, unsure = (Tally().add(z, failed).interval(0.95, 10.0) for failed in (0.0, 3.0))
+    lost = np.full(30, 0.1)
+    sure, unsure = (Tally().add(z, w).interval(0.95, 10.0) for w in (None, lost))
     assert unsure[0] == sure[0]
-    assert unsure[1] == pytest.approx(sure[1] + 0.03)
+    as_crashes = Tally().add(np.repeat([0.1, 0.0], [40, 60])).interval(0.95, 10.0)
+    assert unsure[1] == pytest.approx(as_crashes[1])
+
+
+def test_a_failed_draw_takes_nothing_off_the_upper_end():
+    """Without a crash it is the exact one: a tiny failed weight once stood in its place."""
+    lost = np.array([1e-9])
+    sure, unsure = (Tally().add(np.zeros(100), w).interval(0.95, 10.0) for w in (None, lost))
+    assert unsure == sure == (0.0, pytest.approx(10 * binomtest(0, 100).proportion_ci().high))
+
+
+def test_draws_that_all_crash_leave_an_exact_lower_end():
+    """Equal weights have no scatter, and say nothing of what no draw met."""
+    low, high = Tally().add(np.ones(100)).interval(0.95, 2.0)
+    exact = binomtest(0, 100).proportion_ci(0.95, method="exact").high
+    assert (low, high) == (pytest.approx(1 - 2 * exact), 1.0)
 
 
 def test_no_crash_leaves_an_exact_upper_end():

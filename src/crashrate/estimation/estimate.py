@@ -17,6 +17,7 @@ PURPOSES = {  # of the phases before an estimate
     "learn": "learning where they begin",
     "adapt": "adapting the proposal",
 }
+WIDE = 0.25  # half of an interval that says little of any probability
 NEAR_ONE = 0.99  # an estimate above it is said by its distance to 1
 
 
@@ -117,12 +118,13 @@ class Estimate:
 
     @property
     def determined(self) -> bool:
-        """Whether the estimate says more than its interval: half of that is at most the estimate.
+        """Whether the estimate says more than its interval.
 
-        Else the interval alone is the answer, and the estimate a first idea. (So it is before the
-        first crash, where the interval has an upper end alone.)
+        Half of that is at most the estimate, and the whole at most half of [0, 1]. Else the
+        interval alone is the answer, and the estimate a first idea. (So it is before the first
+        crash, where the interval has an upper end alone.)
         """
-        return self.relative_half_width <= 1
+        return self.relative_half_width <= 1 and self.half_width <= WIDE
 
     @property
     def crude_monte_carlo_calls(self) -> float:

@@ -28,7 +28,8 @@ N_CANDIDATES = 1200
 HEAVY = 0.2  # of the candidates, by their probability in traffic; the others where h is undecided
 N_MASS = 8000  # undecided draws that count what a candidate would decide
 MOVED = 0.5  # chance that a variable of a candidate is moved to its bound
-ALL_BUT = 1e-9  # of P(outer) that one run may be expected to leave: logarithms stay finite
+# of P(outer) that one run may be expected to leave, in single precision: logarithms stay finite
+ALL_BUT = 1e-6
 # the next pool: as for estimates, but fitted to the gap alone
 N_FIT, N_COMPONENTS, WIDEN = 1000, 24, 1.3
 SHARES = (0.8, 0.1, 0.1)

@@ -258,7 +258,7 @@ def _sample_block(problem: Problem, settings: Huang2017Settings, state: State) -
     labels, wrong = yield from _audit(problem, settled, x, rows, snapshot)
     corrections = np.zeros(n)
     corrections[rows] = w[rows] / chance[rows] * wrong
-    tally = state.tally.add(z[:n] + corrections, float(w[:n][lost[:n]].sum()))
+    tally = state.tally.add(z[:n] + corrections, w[:n][lost[:n]])
     return replace(state, labels=labels, tally=tally)
 
 

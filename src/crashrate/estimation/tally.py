@@ -5,13 +5,14 @@ crash probability without bias (2017 paper, §IV.A).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
+import numpy as np
 from scipy.special import stdtrit
 
 from crashrate.estimation.encounters import interval
-from crashrate.estimation.within_unit import within_unit
+from crashrate.estimation.within_unit import WithinUnit, within_unit
 from crashrate.variables import FloatArray
 
 
@@ -27,8 +28,11 @@ class Tally:
         Σ Z and Σ Z².
     largest : float
         Largest |Z|.
-    failed : float
-        Σ f/q over the draws whose simulation failed: what they would add if they were crashes.
+    failed, failed_squares : float
+        Σ w and Σ w² of w = f/q over the draws whose simulation failed: what they would add if they
+        were crashes.
+    n_zero : int
+        Draws that contributed nothing.
     """
 
     n: int = 0
@@ -36,15 +40,31 @@ class Tally:
     squares: float = 0.0
     largest: float = 0.0
     failed: float = 0.0
+    failed_squares: float = 0.0
+    n_zero: int = 0
 
-    def add(self, z: FloatArray, failed: float = 0.0) -> Self:
-        """With more contributions z (n,), zero for a safe or failed draw."""
+    def add(self, z: FloatArray, failed: FloatArray | None = None) -> Self:
+        """With more contributions z (n,), zero for a safe or failed draw; weights of the latter."""
+        w = np.empty(0) if failed is None else failed
         return type(self)(
             self.n + len(z),
             self.total + float(z.sum()),
             self.squares + float(z @ z),
             max(self.largest, float(abs(z).max(initial=0.0))),
-            self.failed + failed,
+            self.failed + float(w.sum()),
+            self.failed_squares + float(w @ w),
+            self.n_zero + int(np.count_nonzero(z == 0)),
+        )
+
+    @property
+    def with_failed(self) -> Self:
+        """The same with every failed draw counted as a crash."""
+        return replace(
+            self,
+            total=self.total + self.failed,
+            squares=self.squares + self.failed_squares,
+            failed=0.0,
+            failed_squares=0.0,
         )
 
     @property
@@ -98,12 +118,20 @@ class Tally:
         """The interval, with every failed simulation counted as safe below and a crash above.
 
         Without any crash its upper end is the exact one for a share of 0 in n draws, times the
-        bound `largest_weight` on f/q.
+        bound `largest_weight` on f/q; and likewise its lower end where every draw crashed.
         """
         if self.n == 0:
             return 0.0, 1.0
-        if self.total <= 0.0 and self.failed == 0.0:
-            return 0.0, min(largest_weight * interval(0, self.n, confidence)[1], 1.0)
-        highest = self.mean + self.failed / self.n
-        found = within_unit(self.mean, self.half_width(confidence), self.mean, highest)
-        return found.lower, found.upper
+        unseen = largest_weight * interval(0, self.n, confidence)[1]
+        safe, crashed = (_plain(tally, confidence) for tally in (self, self.with_failed))
+        lower, upper = safe.lower, max(safe.upper, crashed.upper)
+        if self.n_zero == 0:
+            lower = min(lower, max(1.0 - unseen, 0.0))
+        if self.total <= 0.0:
+            lower, upper = 0.0, max(upper, min(unseen, 1.0))
+        return lower, upper
+
+
+def _plain(tally: Tally, confidence: float) -> WithinUnit:
+    """The interval of the mean alone."""
+    return within_unit(tally.mean, tally.half_width(confidence), tally.mean, tally.mean)

@@ -61,7 +61,7 @@ class WeightedDraws:
         z[: len(y)] = np.where(crashed, w, 0.0)
         return replace(
             self,
-            tally=self.tally.add(z, float(w[np.isnan(y)].sum())),
+            tally=self.tally.add(z, w[np.isnan(y)]),
             weights=np.concatenate([self.weights, w[crashed]]),
             ordinary=self.ordinary + Encounters.of(y[came]),
         )

@@ -95,8 +95,10 @@ def _compared(quantity: Quantity, seen: FloatArray, drawn: FloatArray) -> Tail:
     """The tails of events' and draws' values, each with the most dangerous first."""
     levels = np.unique([seen[rank - 1] for rank in RANKS if rank <= len(seen) // 10])[::-1]
     counts = _beyond(seen, levels)  # as many as the rank, and more where values are rounded
+    # half-way to the next recorded value: rounded ones stand for as much on either side
+    edges = np.array([(seen[n - 1] + seen[min(n, len(seen) - 1)]) / 2 for n in counts])
     every = len(seen) / len(drawn)
-    expected = tuple(b * every for b in _beyond(drawn, levels))
+    expected = tuple(b * every for b in _beyond(drawn, edges))
     low, high = _limits(counts, every, CONFIDENCE)
     least, most = _limits(counts, every, ALARM_CONFIDENCE)
     return Tail(
