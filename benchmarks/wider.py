@@ -1,8 +1,9 @@
 """Problems beyond the usual ones: where a campaign could fail, each with a known probability.
 
-Curved and concave sets (``outside a ball``, ``corner, d = 3``, ``union``), several regions (``three
-half-planes``), risk orders that fail in places or throughout (``holes``, ``wrong sign``), outcomes
-that are random, traffic that hardly reaches its box, and a vehicle that never crashes.
+Curved and concave sets (``outside a ball``, ``corner, d = 3``, ``union``), a rough edge (``stairs``)
+and a safe ``pocket``, several regions (``three half-planes``), risk orders that fail in places or
+throughout (``holes``, ``wrong sign``), outcomes that are random, traffic that hardly reaches its
+box, and a vehicle that never crashes.
 """
 
 import math
@@ -67,6 +68,38 @@ def three_half_planes(probability: float = 3e-6) -> Benchmark:
         return np.any(x @ normals >= level, axis=1)
 
     return Benchmark(standard_normal(2), None, crash, probability)
+
+
+def stairs(steps: int = 2, level: int = 8) -> Benchmark:
+    """Two standard normals, each rounded down to `steps` steps a unit, whose sum is `level` steps.
+
+    Monotone, with an edge that no smooth curve comes near.
+    """
+    from scipy.special import ndtr
+
+    traffic, edges = standard_normal(2), np.arange(-40 * steps, 40 * steps + 1)
+    on_stair = np.diff(ndtr(edges / steps))
+    reference = float(on_stair @ ndtr(-(level - edges[:-1]) / steps))
+
+    def crash(x: Rows) -> Outcomes:
+        return np.asarray(np.floor(steps * x).sum(axis=1) >= level)
+
+    return Benchmark(traffic, order_of(traffic, *["increasing"] * 2), crash, reference)
+
+
+def pocket(level: float = 4.0, radius: float = 0.45) -> Benchmark:
+    """A half-plane without a disc behind its edge, 16 % of it; no order declared."""
+    from scipy.special import ndtr
+    from scipy.stats import ncx2
+
+    center = np.array([level + radius + 0.05, 0.6])  # the disc leaves a strip of crashes before it
+    in_disc = float(ncx2.cdf(radius**2, 2, center @ center))
+
+    def crash(x: Rows) -> Outcomes:
+        in_pocket = ((x - center) ** 2).sum(axis=1) <= radius**2
+        return (x[:, 0] >= level) & ~in_pocket
+
+    return Benchmark(standard_normal(2), None, crash, float(ndtr(-level)) - in_disc)
 
 
 def holes(share: float, probability: float = 1e-5) -> Benchmark:
@@ -153,6 +186,8 @@ WIDER: Mapping[str, Callable[[], Benchmark]] = {
     "union, d = 3": lambda: any_above(3, 1e-6),
     "union, d = 5": lambda: any_above(5, 1e-5),
     "three half-planes": three_half_planes,
+    "stairs": stairs,
+    "pocket": pocket,
     "holes in 0.1 %": lambda: holes(0.001),
     "holes in 1 %": lambda: holes(0.01),
     "holes in 10 %": lambda: holes(0.1),

@@ -14,6 +14,8 @@ WIDENED = {
     "union, d = 3": 2.5,
     "union, d = 5": 2.0,
     "three half-planes": 3.0,
+    "stairs": 2.5,
+    "pocket": 3.0,
     "holes in 0.1 %": 3.0,
     "holes in 1 %": 3.0,
     "holes in 10 %": 3.0,

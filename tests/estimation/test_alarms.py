@@ -88,7 +88,7 @@ def test_unsettled(problem):
 
 
 def test_crashes_unforeseen(problem):
-    assert raised(problem, surprised=True) == (Alarm.CRASHES_UNFORESEEN,)
+    assert raised(problem, surprised=True) == (Alarm.OUTCOMES_UNFORESEEN,)
 
 
 def test_undecided_mass_large(problem):

@@ -1,5 +1,6 @@
 """Crash regions far from the first one found are looked for where no order speaks, and found."""
 
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -96,10 +97,13 @@ def test_with_an_order_the_places_it_is_silent_about_are_looked_at(cases, monkey
     for belief, labels, surprise, whole in looks:
         assert whole
         x, y = labels.x[belief.labels.n :], labels.y[belief.labels.n :]
-        assert surveying.N_EACH * 4 < len(x) <= 2 * surveying.N_EACH * 4
+        h = belief.see(x).surrogate_h
+        outside, inside = h < surveying.SURE, h > surveying.SURE_OF_CRASH
+        assert surveying.N_EACH * 4 < np.count_nonzero(outside) <= 2 * surveying.N_EACH * 4
+        assert np.count_nonzero(inside) == surveying.N_INSIDE
         assert not np.logical_or(*belief.labels.presumed(belief.labels.coordinates(x))).any()
-        assert (belief.see(x).surrogate_h < surveying.SURE).all()
-        assert surprise == (y == 1).any()
+        assert (outside | inside).all()
+        assert surprise == (y[outside].any() or not y[inside].all())
 
 
 def test_with_an_order_nothing_is_looked_at_where_it_leaves_little_open(cases, monkeypatch):
@@ -139,6 +143,55 @@ def test_with_an_order_too_a_surprise_voids_what_was_estimated(cases, monkeypatc
     assert got.interval[0] <= ANY <= got.interval[1]
 
 
+def beyond(x):
+    return x.sum(axis=1) >= np.sqrt(2) * norm.isf(1e-4)
+
+
+def last_look(cases, risk, outcomes):
+    """What a campaign believes, where it looks last, and whether `outcomes` there surprise it."""
+    campaign = Campaign(cases.standard_normal(2), risk=risk, max_calls=120)
+    while not campaign.done:
+        campaign.tell(beyond(campaign.ask()))
+    problem, belief = campaign.problem, campaign.snapshot.belief
+    more = replace(problem, max_calls=1_000)
+    look = surveying.survey(
+        more, belief, lambda: (belief.surrogate,), campaign.snapshot, np.random.default_rng(0)
+    )
+    query, asked = next(look), []
+    try:
+        while True:
+            asked.append(query.x)
+            query = look.send(outcomes(query.x).astype(float))
+    except StopIteration as end:
+        return belief, np.concatenate(asked), end.value[1]
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_the_last_look_goes_where_only_the_surrogate_sees_crashes(cases, ordered):
+    risk = cases.increasing(2) if ordered else None
+    belief, x, surprise = last_look(cases, risk, beyond)
+    x = x if ordered else x[surveying.N_AGAIN :]
+    inside = belief.see(x).surrogate_h > surveying.SURE_OF_CRASH
+    most = surveying.N_INSIDE if ordered else surveying.N_UNORDERED
+    assert 1 <= np.count_nonzero(inside) <= most
+    assert not np.logical_or(*belief.labels.presumed(belief.labels.coordinates(x[inside]))).any()
+    assert beyond(x[inside]).all()
+    assert not surprise
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_safe_outcome_where_crashes_were_sure_is_a_surprise(cases, ordered):
+    risk = cases.increasing(2) if ordered else None
+    assert last_look(cases, risk, lambda x: np.zeros(len(x)))[2]
+    # failed runs say nothing
+    assert not last_look(cases, risk, lambda x: np.where(beyond(x), np.nan, 0.0))[2]
+
+
+def test_where_little_hangs_on_the_surrogate_it_is_not_asked(cases, monkeypatch):
+    monkeypatch.setattr(surveying, "LITTLE", 1e9)
+    assert len(last_look(cases, None, beyond)[1]) == surveying.N_AGAIN
+
+
 def test_surveys_come_to_an_end(cases, monkeypatch):
     """Every look a surprise: the campaign stops after so many, the target met."""
 
@@ -150,7 +203,7 @@ def test_surveys_come_to_an_end(cases, monkeypatch):
     monkeypatch.setattr(sequential, "MAX_SURVEYS", 2)
     got = found(cases, 0)
     assert got.stop_reason in {StopReason.TARGET_MET, StopReason.BUDGET_ENDED}
-    assert Alarm.CRASHES_UNFORESEEN in got.alarms
+    assert Alarm.OUTCOMES_UNFORESEEN in got.alarms
 
 
 def test_a_tighter_target_is_looked_at_anew(cases):

@@ -23,9 +23,10 @@ class Alarm(StrEnum):
         "the estimate has not settled: it moves by a multiple from round to round, or its interval "
         "is wider than half of it to either side; the upper end is what the runs could have missed"
     )
-    CRASHES_UNFORESEEN = (
-        "the last look at places far from all runs met a crash where none was expected: there may "
-        "be more such places, which are in neither the estimate nor its interval"
+    OUTCOMES_UNFORESEEN = (
+        "the last look met an outcome that was not expected, a crash far from all others or safety "
+        "where crashes were thought sure: there may be more of them, which are in neither the "
+        "estimate nor its interval"
     )
     WEIGHTS_CONCENTRATED = (
         "one simulator run moves the estimate by more than a quarter: the next run may move it "

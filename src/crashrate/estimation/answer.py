@@ -115,7 +115,7 @@ def doubts(
         Alarm.ENCOUNTERS_DISAGREE: trusted.outvoted,
         Alarm.TOO_FEW_CRASHES: trusted.few,
         Alarm.UNSETTLED: trusted.unsettled,
-        Alarm.CRASHES_UNFORESEEN: state.surprised,
+        Alarm.OUTCOMES_UNFORESEEN: state.surprised,
         Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
         Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
         Alarm.TRAFFIC_UNDETERMINED: (

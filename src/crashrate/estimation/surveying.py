@@ -6,6 +6,10 @@ trusted, and again when the target is met, the emptiest places are looked at: a 
 surrogate was sure of safety refutes what was estimated before. With a risk order only those are
 left to look at that no outcome decides, and once the target is met is early enough; other kernels
 then say where else to look.
+
+And it takes what lies behind an edge for crashes. A notch in that edge, or a pocket behind it, has
+few runs: they keep to where the surrogate doubts. So the last look goes there too, and a safe
+outcome where it was sure refutes as much as a crash.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -25,6 +29,7 @@ from crashrate.estimation.probing import (
     reachable,
 )
 from crashrate.estimation.strategy import Problem, Query, Snapshot
+from crashrate.estimation.view import normalised
 from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.variables import FloatArray
 
@@ -35,6 +40,9 @@ SURPRISE = 0.5  # a crash less likely than this was not expected
 # sure of safety; as many far from all others as where that is contested. None where all such places
 # have less than the share LITTLE of the estimate.
 N_EACH, FEW_COORDINATES, LITTLE = 2, 3, 0.05
+# Runs where only the surrogate says that a crash is so likely (and without an order, where more
+# hangs on it), and the size of the pool they are drawn from.
+N_INSIDE, N_UNORDERED, SURE_OF_CRASH, N_POOL = 3, 5, 0.9, 20_000
 
 Rivals = Callable[[], Sequence[Surrogate]]  # called where they are needed: they have to be fitted
 Surveying = Generator[Query, FloatArray, tuple[Labels, bool, bool]]
@@ -55,26 +63,28 @@ def survey(
     snapshot: Snapshot,
     rng: np.random.Generator,
 ) -> Surveying:
-    """Look again; with an order also where `rivals` see crashes.
+    """Look again; with an order also where `rivals` see crashes, and where only the surrogate does.
 
     Returns
     -------
     Labels
     bool
-        Whether a crash was met where none was believed.
+        Whether a crash was met where none was believed, or none where one was sure.
     bool
         Whether the budget let it look everywhere.
     """
     labels = belief.labels
     if belief.ordered:
-        x = _silent(problem, belief, rivals, snapshot.probability, rng)
+        outside = _silent(problem, belief, rivals, snapshot.probability, rng)
     else:
-        x = emptiest(problem, labels, N_AGAIN, rng)
-    sure = belief.see(x).surrogate_h < SURPRISE
-    before = labels.n
+        outside = emptiest(problem, labels, N_AGAIN, rng)
+    x = np.concatenate([outside, supposed(problem, belief, snapshot.probability, rng)])
+    unlikely = belief.see(x).surrogate_h < SURPRISE
+    inside, before = np.arange(len(x)) >= len(outside), labels.n
     labels = yield from ask(problem, labels, x, snapshot)
-    met = labels.y[before:] == 1
-    return labels, bool((met & sure[: len(met)]).any()), len(met) == len(x)
+    y = labels.y[before:]
+    crashed, safe = (y == 1) & unlikely[: len(y)], (y == 0) & inside[: len(y)]
+    return labels, bool((crashed | safe).any()), len(y) == len(x)
 
 
 def _silent(
@@ -100,6 +110,25 @@ def _silent(
     n = m if m <= FEW_COORDINATES else N_EACH * m
     far = pool.x[farthest(pool.u, labels.u, rows, n)]
     return np.concatenate([far, contested(problem, belief, rivals(), n, rng)])
+
+
+def supposed(
+    problem: Problem, belief: Belief, probability: float, rng: np.random.Generator
+) -> FloatArray:
+    """A few situations (n, d) that only the surrogate holds to crash, and surely.
+
+    As likely as they are in traffic. None where all of those together are next to nothing of the
+    `probability`.
+    """
+    labels = belief.labels
+    pool = draw_pool(belief.proposal, problem.traffic, labels.coordinates, N_POOL, rng)
+    decided = np.logical_or(*labels.presumed(pool.u))
+    sure = belief.see(pool.x).surrogate_h > SURE_OF_CRASH
+    mass = np.where(sure & ~decided, pool.weights, 0.0)
+    if mass.sum() <= LITTLE * probability:
+        return pool.x[:0]
+    n = N_INSIDE if belief.ordered else N_UNORDERED
+    return np.asarray(pool.x[np.unique(rng.choice(len(mass), n, p=normalised(mass)))])
 
 
 def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
