@@ -1,7 +1,7 @@
 """Problems beyond the usual ones: where a campaign could fail, each with a known probability.
 
-Curved and concave sets (``outside a ball``, ``corner, d = 3``, ``union``), a rough edge (``stairs``)
-and a safe ``pocket``, several regions (``three half-planes``), risk orders that fail in places or
+Curved and concave sets (``outside a ball``, ``corner``, ``union``), a rough edge (``stairs``) and
+a safe ``pocket``, several regions (``three half-planes``), risk orders that fail in places or
 throughout (``holes``, ``wrong sign``), outcomes that are random, traffic that hardly reaches its
 box, and a vehicle that never crashes.
 """
