@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.consequence import Consequence
 from crashrate.estimation.strategy import Snapshot
 from crashrate.printing import Format, print_fit, print_result, print_selection, standing
@@ -131,6 +132,7 @@ def shown_result(capsys, **changes):
         "alarms": [],
         "synthetic": False,
         "n_calls": 120,
+        "method": "sequential",
         "traffic": {"n_members": 41, "events": {"n": 5000}},
         "recordings": {"sentences": ["replay: as it was"]},
     }
@@ -161,6 +163,16 @@ def test_a_result_that_was_checked_needs_no_note(capsys):
 )
 def test_what_nobody_checked_is_noted(capsys, changes, note):
     assert note in shown_result(capsys, **changes).err
+
+
+def test_without_a_replay_the_order_stands_for_plain_traffic(capsys):
+    unchecked = {"recordings": {"unchecked": "it comes without events"}}
+    dropped = {"alarms": [{"name": Alarm.ORDER_DROPPED.name, "message": "dropped"}]}
+    said = "the risk order was taken to hold in plain traffic"
+    assert said in shown_result(capsys, **unchecked).err
+    assert said not in shown_result(capsys).err
+    assert said not in shown_result(capsys, **unchecked | dropped).err
+    assert said not in shown_result(capsys, **unchecked, method="crude").err
 
 
 def test_one_fit_to_drawn_events_or_to_none_needs_no_further_ones(capsys):

@@ -77,6 +77,11 @@ def test_consequences_stand_near_the_answer(build, estimate, consequences):
     assert "Expected per" not in Page(render_report(build())).text
 
 
+def test_no_share_is_told_of_an_event_that_is_not_determined(build, estimate, consequences):
+    e = estimate(consequences=consequences, interval=(0.0, 1e-3))
+    assert "(± 11 %)–60" in Page(render_report(build(estimate=e))).text
+
+
 def test_bounds_are_the_answer_where_they_were_asked_for(build, estimate):
     e = estimate(goal="bounds", probability=math.nan, interval=(0.0, 1.0), history=())
     page = Page(render_report(build(estimate=e)))

@@ -125,9 +125,7 @@ def _consequences(estimate: Estimate) -> tuple[tuple[str, str, str, str, int], .
             c.name + " (aimed at)" * c.aimed,
             power_of_ten(c.mean) if c.determined else "not determined",
             f"{interval_text(c.interval)}{_about(c)}",
-            percent(c.mean / estimate.probability)
-            if c.determined and estimate.probability > 0
-            else "–",
+            percent(c.mean / estimate.probability) if c.determined and estimate.determined else "–",
             c.n_carrying,
         )
         for c in estimate.consequences

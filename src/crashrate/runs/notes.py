@@ -3,6 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+from crashrate.estimation.alarms import Alarm
+from crashrate.estimation.methods import LEARNING
+
 
 def notes(result: Mapping[str, Any]) -> tuple[str, ...]:
     """Sentences, without a full stop, on what `result.json` rests on that nobody checked."""
@@ -12,6 +15,11 @@ def notes(result: Mapping[str, Any]) -> tuple[str, ...]:
         found.append(pending)
     if unchecked := recordings.get("unchecked"):
         found.append(f"the traffic model is not checked against recordings: {unchecked}")
+        if _is_by_order(result):
+            found.append(
+                "the risk order was taken to hold in plain traffic, and no recording was replayed: "
+                "crashes that it denies there may have gone unseen"
+            )
     if _is_one_fit(result):
         found.append(
             "one fit to the events, and no others beside it: nothing says how far the events "
@@ -23,6 +31,13 @@ def notes(result: Mapping[str, Any]) -> tuple[str, ...]:
             "before were kept, at the user's word that they are the same (--same-vehicle)"
         )
     return tuple(found)
+
+
+def _is_by_order(result: Mapping[str, Any]) -> bool:
+    """Whether a risk order stood in for random encounters, to the end."""
+    alarms = {alarm["name"] for alarm in result["alarms"]}
+    free = {Alarm.NO_ORDER.name, Alarm.ORDER_DROPPED.name}
+    return result["method"] in LEARNING and alarms.isdisjoint(free)
 
 
 def _is_one_fit(result: Mapping[str, Any]) -> bool:
