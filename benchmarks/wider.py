@@ -1,9 +1,9 @@
 """Problems beyond the usual ones: where a campaign could fail, each with a known probability.
 
-Curved and concave sets (``outside a ball``, ``corner``, ``union``), a rough edge (``stairs``) and
-a safe ``pocket``, several regions (``three half-planes``), risk orders that fail in places or
-throughout (``holes``, ``wrong sign``), outcomes that are random, traffic that hardly reaches its
-box, and a vehicle that never crashes.
+Curved and concave sets (``outside a ball``, ``corner``, ``union``), a rough edge (``stairs``),
+a safe ``pocket``, a thin ``strip``, several regions (``three half-planes``), risk orders that fail
+in places or throughout (``holes``, ``wrong sign``), outcomes that are random, traffic that hardly
+reaches its box, and a vehicle that never crashes.
 """
 
 import math
@@ -102,6 +102,18 @@ def pocket(level: float = 4.0, radius: float = 0.45) -> Benchmark:
     return Benchmark(standard_normal(2), None, crash, float(ndtr(-level)) - in_disc)
 
 
+def strip(nearest: float = 3.5, farthest: float = 3.8) -> Benchmark:
+    """Two standard normals between two parallel oblique lines; no order declared."""
+    from scipy.special import ndtr
+
+    def crash(x: Rows) -> Outcomes:
+        across = x.sum(axis=1) / math.sqrt(2)
+        return (across >= nearest) & (across <= farthest)
+
+    reference = float(ndtr(-nearest) - ndtr(-farthest))
+    return Benchmark(standard_normal(2), None, crash, reference)
+
+
 def holes(share: float, probability: float = 1e-5) -> Benchmark:
     """A half-plane of which cells of 0.05 standard deviations are safe, `share` of them at random.
 
@@ -188,6 +200,7 @@ WIDER: Mapping[str, Callable[[], Benchmark]] = {
     "three half-planes": three_half_planes,
     "stairs": stairs,
     "pocket": pocket,
+    "strip": strip,
     "holes in 0.1 %": lambda: holes(0.001),
     "holes in 1 %": lambda: holes(0.01),
     "holes in 10 %": lambda: holes(0.1),

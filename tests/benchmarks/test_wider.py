@@ -16,6 +16,7 @@ WIDENED = {
     "three half-planes": 3.0,
     "stairs": 2.5,
     "pocket": 3.0,
+    "strip": 3.0,
     "holes in 0.1 %": 3.0,
     "holes in 1 %": 3.0,
     "holes in 10 %": 3.0,

@@ -51,7 +51,7 @@ def test_a_surprise_voids_what_was_estimated_and_a_clean_look_ends_it(cases, mon
 
     def watched(*arguments):
         found = yield from look(*arguments)
-        looks.append(found[1])
+        looks.append(found.surprised)
         return found
 
     monkeypatch.setattr(sequential, "survey", watched)
@@ -86,24 +86,25 @@ def test_with_an_order_the_places_it_is_silent_about_are_looked_at(cases, monkey
 
     def watched(problem, belief, *others):
         found = yield from look(problem, belief, *others)
-        looks.append((belief, *found))
+        looks.append((belief, found))
         return found
 
     monkeypatch.setattr(sequential, "survey", watched)
     got = ordered(cases, 3)
     assert got.interval[0] <= ANY <= got.interval[1]
     assert got.stop_reason is StopReason.TARGET_MET
-    assert not looks[-1][2]
-    for belief, labels, surprise, whole in looks:
-        assert whole
-        x, y = labels.x[belief.labels.n :], labels.y[belief.labels.n :]
+    assert not looks[-1][1].surprised
+    for belief, look in looks:
+        assert look.whole
+        x, y = look.labels.x[belief.labels.n :], look.labels.y[belief.labels.n :]
         h = belief.see(x).surrogate_h
         outside, inside = h < surveying.SURE, h > surveying.SURE_OF_CRASH
         assert surveying.N_EACH * 4 < np.count_nonzero(outside) <= 2 * surveying.N_EACH * 4
         assert np.count_nonzero(inside) == surveying.N_INSIDE
         assert not np.logical_or(*belief.labels.presumed(belief.labels.coordinates(x))).any()
         assert (outside | inside).all()
-        assert surprise == (y[outside].any() or not y[inside].all())
+        assert look.doubted == (not y[inside].all())
+        assert look.surprised == (y[outside].any() or not y[h > 1 - surveying.SURE].all())
 
 
 def test_with_an_order_nothing_is_looked_at_where_it_leaves_little_open(cases, monkeypatch):
@@ -131,9 +132,9 @@ def test_with_an_order_too_a_surprise_voids_what_was_estimated(cases, monkeypatc
     plain, looks = ordered(cases, 0), []
 
     def surprised(*arguments):
-        labels, surprise, whole = yield from surveying.survey(*arguments)
-        looks.append(labels.n)
-        return labels, surprise or len(looks) == 1, whole
+        look = yield from surveying.survey(*arguments)
+        looks.append(look.labels.n)
+        return replace(look, surprised=look.surprised or len(looks) == 1)
 
     monkeypatch.setattr(sequential, "survey", surprised)
     got = ordered(cases, 0)
@@ -148,7 +149,7 @@ def beyond(x):
 
 
 def last_look(cases, risk, outcomes):
-    """What a campaign believes, where it looks last, and whether `outcomes` there surprise it."""
+    """What a campaign believes, where it looks last, and what it makes of `outcomes` there."""
     campaign = Campaign(cases.standard_normal(2), risk=risk, max_calls=120)
     while not campaign.done:
         campaign.tell(beyond(campaign.ask()))
@@ -163,28 +164,40 @@ def last_look(cases, risk, outcomes):
             asked.append(query.x)
             query = look.send(outcomes(query.x).astype(float))
     except StopIteration as end:
-        return belief, np.concatenate(asked), end.value[1]
+        return belief, np.concatenate(asked), end.value
 
 
 @pytest.mark.parametrize("ordered", [True, False])
 def test_the_last_look_goes_where_only_the_surrogate_sees_crashes(cases, ordered):
     risk = cases.increasing(2) if ordered else None
-    belief, x, surprise = last_look(cases, risk, beyond)
+    belief, x, look = last_look(cases, risk, beyond)
     x = x if ordered else x[surveying.N_AGAIN :]
     inside = belief.see(x).surrogate_h > surveying.SURE_OF_CRASH
     most = surveying.N_INSIDE if ordered else surveying.N_UNORDERED
     assert 1 <= np.count_nonzero(inside) <= most
     assert not np.logical_or(*belief.labels.presumed(belief.labels.coordinates(x[inside]))).any()
     assert beyond(x[inside]).all()
-    assert not surprise
+    assert not look.surprised
+    assert not look.doubted
 
 
 @pytest.mark.parametrize("ordered", [True, False])
 def test_a_safe_outcome_where_crashes_were_sure_is_a_surprise(cases, ordered):
     risk = cases.increasing(2) if ordered else None
-    assert last_look(cases, risk, lambda x: np.zeros(len(x)))[2]
+    look = last_look(cases, risk, lambda x: np.zeros(len(x)))[2]
+    assert look.surprised
+    assert look.doubted
     # failed runs say nothing
-    assert not last_look(cases, risk, lambda x: np.where(beyond(x), np.nan, 0.0))[2]
+    look = last_look(cases, risk, lambda x: np.where(beyond(x), np.nan, 0.0))[2]
+    assert not look.surprised
+    assert not look.doubted
+
+
+def test_where_crashes_were_only_likely_a_safe_one_is_a_doubt(cases, monkeypatch):
+    monkeypatch.setattr(surveying, "SURE", 0.0)
+    look = last_look(cases, cases.increasing(2), lambda x: np.zeros(len(x)))[2]
+    assert look.doubted
+    assert not look.surprised
 
 
 def test_where_little_hangs_on_the_surrogate_it_is_not_asked(cases, monkeypatch):
@@ -196,8 +209,8 @@ def test_surveys_come_to_an_end(cases, monkeypatch):
     """Every look a surprise: the campaign stops after so many, the target met."""
 
     def surprised(*arguments):
-        labels, _, whole = yield from surveying.survey(*arguments)
-        return labels, True, whole
+        look = yield from surveying.survey(*arguments)
+        return replace(look, surprised=True)
 
     monkeypatch.setattr(sequential, "survey", surprised)
     monkeypatch.setattr(sequential, "MAX_SURVEYS", 2)

@@ -245,3 +245,38 @@ def test_doubt_reaches_as_deep_as_the_contradictions_seen(cases, ripple):
     above, below = (u - x[y == 1]).min(axis=2).max(axis=1), (x[y == 0] - u).min(axis=2).max(axis=1)
     depth = np.maximum(above, below)[np.abs(u).max(axis=(1, 2)) < 2.0].max()  # away from the pair
     assert 0.8 * ripple < depth <= ripple + 1e-9
+
+
+def oblique(n, thin, seed=0):
+    """Coordinates (n, 2) spread along one diagonal, and `thin` times as far along the other."""
+    z = np.random.default_rng(seed).standard_normal((n, 2)) * [1.0, thin]
+    return z @ np.array([[1.0, 1.0], [1.0, -1.0]]) + [3.0, -2.0]
+
+
+def ratio(z):
+    return np.sqrt(np.linalg.cond(np.cov(z.T)))
+
+
+def test_a_thin_oblique_spread_is_made_round_where_no_order_forbids_it():
+    u, even = oblique(4000, 0.2), np.full(4000, 1 / 4000)
+    assert ratio(Standardiser.weighted(u, even, free=True)(u)) == pytest.approx(1, rel=0.01)
+    assert ratio(Standardiser.weighted(u, even)(u)) == pytest.approx(5, rel=0.05)
+    # the thinnest is stretched, not blown up; what is hardly thin, or hardly known, stays
+    thinnest = oblique(4000, 1e-4)
+    assert 100 < ratio(Standardiser.weighted(thinnest, even, free=True)(thinnest)) < 5000
+    assert Standardiser.weighted(oblique(4000, 0.6), even, free=True).mix is None
+    assert Standardiser.weighted(u[:15], np.full(15, 1 / 15), free=True).mix is None
+
+
+def test_round_coordinates_stay_while_they_hardly_change():
+    even = np.full(4000, 1 / 4000)
+    first = Standardiser.weighted(oblique(4000, 0.2), even, free=True)
+    again = Standardiser.weighted(oblique(4000, 0.2, seed=1), even, free=True)
+    assert first.or_else(again) is first
+    turned = replace(first, mix=first.mix @ np.array([[0.6, 0.8], [-0.8, 0.6]]))
+    assert first.or_else(turned) is first  # kernels are round
+    thinner = Standardiser.weighted(oblique(4000, 0.13), even, free=True)
+    assert first.or_else(thinner) is thinner
+    flat = replace(first, mix=None)
+    assert flat.or_else(first) is first
+    assert first.or_else(flat) is flat

@@ -86,6 +86,8 @@ def sequential(problem: Problem) -> Learner:
             if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
                 state = yield from _survey(problem, state, snapshot, *fitted)
                 snapshot = answer(problem, state, view)
+                if snapshot.stop_reason is StopReason.RUNNING and state.n_surveys < MAX_SURVEYS:
+                    state = replace(state, surveyed_for=math.inf)
         if outvoted(problem, state):
             # one crash among thirty encounters may be bad luck, or what the surrogate never saw:
             # more encounters tell, more rounds do not
@@ -121,7 +123,7 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
 def _survey(
     problem: Problem, state: State, snapshot: Snapshot, surrogate: Surrogate, model: Model
 ) -> Generator[Query, FloatArray, State]:
-    """Look at the emptiest places; what was estimated is void where a crash comes as a surprise."""
+    """Look at places that no run came near; a surprise there voids what was estimated."""
     rng, target = problem.rng(SURVEYS + 1 + state.n_surveys), problem.target_at(state.labels.n)
     running = replace(snapshot, stop_reason=StopReason.RUNNING)
     belief = Belief(state.labels, surrogate, model.standardise, state.proposal)
@@ -129,14 +131,15 @@ def _survey(
     def rivals() -> tuple[Surrogate, ...]:
         return model.rivals(state.labels, state.ordinary, directed=state.directed)
 
-    labels, surprise, whole = yield from survey(problem, belief, rivals, running, rng)
+    look = yield from survey(problem, belief, rivals, running, rng)
     done = state.n_surveys + 1
-    if surprise:
-        state = replace(state, rounds=(), model=state.model.forgetting())
-    ended = whole and (not surprise or done >= MAX_SURVEYS)
-    if ended or surprise:
+    state = replace(state, labels=look.labels, n_surveys=done, surprised=look.surprised)
+    ended = look.whole and (not look.surprised or done >= MAX_SURVEYS)
+    if ended or look.surprised:
         state = replace(state, surveyed_for=target if ended else math.inf)
-    return replace(state, labels=labels, n_surveys=done, surprised=surprise)
+    if look.surprised:
+        return replace(state, rounds=(), model=state.model.forgetting())
+    return _reconsidered(state, *_fit(state)) if look.doubted else state
 
 
 def _surveyed(problem: Problem, state: State) -> bool:
@@ -207,7 +210,8 @@ def _round(
         rounds = state.rounds
     else:
         labels, rounds = yield from _estimate(problem, state, view, snapshot, rng)
-    seen = Standardiser.weighted(view.pool.u, view.learning, view.breadth)
+    free = not state.directed
+    seen = Standardiser.weighted(view.pool.u, view.learning, view.breadth, free=free)
     standardise = model.standardise.or_else(seen)
     state = replace(
         state,

@@ -13,6 +13,7 @@ outcome where it was sure refutes as much as a crash.
 """
 
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,7 +46,27 @@ N_EACH, FEW_COORDINATES, LITTLE = 2, 3, 0.05
 N_INSIDE, N_UNORDERED, SURE_OF_CRASH, N_POOL = 3, 5, 0.9, 20_000
 
 Rivals = Callable[[], Sequence[Surrogate]]  # called where they are needed: they have to be fitted
-Surveying = Generator[Query, FloatArray, tuple[Labels, bool, bool]]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a last look met.
+
+    Parameters
+    ----------
+    labels : Labels
+    surprised : bool
+        A crash where none was believed, or none where one was sure: what was estimated is void.
+    doubted : bool
+        No crash where one was likely: the rounds are to be weighed anew.
+    whole : bool
+        Whether the budget let it look everywhere.
+    """
+
+    labels: Labels
+    surprised: bool
+    doubted: bool
+    whole: bool
 
 
 def first_survey(
@@ -62,16 +83,11 @@ def survey(
     rivals: Rivals,
     snapshot: Snapshot,
     rng: np.random.Generator,
-) -> Surveying:
+) -> Generator[Query, FloatArray, Look]:
     """Look again; with an order also where `rivals` see crashes, and where only the surrogate does.
 
-    Returns
-    -------
-    Labels
-    bool
-        Whether a crash was met where none was believed, or none where one was sure.
-    bool
-        Whether the budget let it look everywhere.
+    Safe outcomes count among the latter alone: the emptiest places may lie where it supposes
+    crashes by far too little to know.
     """
     labels = belief.labels
     if belief.ordered:
@@ -79,12 +95,12 @@ def survey(
     else:
         outside = emptiest(problem, labels, N_AGAIN, rng)
     x = np.concatenate([outside, supposed(problem, belief, snapshot.probability, rng)])
-    unlikely = belief.see(x).surrogate_h < SURPRISE
-    inside, before = np.arange(len(x)) >= len(outside), labels.n
+    h, before = belief.see(x).surrogate_h, labels.n
     labels = yield from ask(problem, labels, x, snapshot)
     y = labels.y[before:]
-    crashed, safe = (y == 1) & unlikely[: len(y)], (y == 0) & inside[: len(y)]
-    return labels, bool((crashed | safe).any()), len(y) == len(x)
+    h, safe = h[: len(y)], (y == 0) & (np.arange(len(y)) >= len(outside))
+    surprising = ((y == 1) & (h < SURPRISE)) | (safe & (h > 1 - SURE))
+    return Look(labels, bool(surprising.any()), bool(safe.any()), len(y) == len(x))
 
 
 def _silent(

@@ -17,6 +17,13 @@ from crashrate.variables import BoolArray, FloatArray
 # edge is soon known so well that earlier runs would lie 10⁵ scales away, beyond double precision.
 MIN_SCALE = 0.01
 ROUNDING = 1e-12
+# Variance of the scaled coordinates, in the direction in which it is least, below which they are
+# made round (where no order needs them as they are), down to the least that is stretched in full;
+# and the effective number of draws, for each coordinate, from which on it is known well enough. The
+# kernels are round: a thin oblique strip of crashes ended for them where the runs along it did, and
+# up to a third of the probability was lost, where a strip along a coordinate was all found. (Edges
+# stretched without limit cost a quarter more runs.)
+THIN, THINNEST, ROUND_FROM = 0.15, 0.015, 10
 MAX_DRIFT = 0.3  # of center over scale, and of log scale, before the coordinates follow
 # A surrogate is never certain; but ordinary traffic has all the weight there is, and at 1e-9 it
 # would be taken for the largest doubt of all where crashes are rare and coordinates many.
@@ -47,15 +54,19 @@ class Standardiser:
     center, scale : ndarray, shape (m,)
     unit : ndarray, shape (m,)
         Of the coordinates, for how deep outcomes contradict an order.
+    mix : ndarray, shape (m, m), or None
+        What the scaled coordinates are multiplied by from the right; None for nothing.
     """
 
     center: FloatArray
     scale: FloatArray
     unit: FloatArray
+    mix: FloatArray | None = None
 
     def __call__(self, u: FloatArray) -> FloatArray:
         """Standardised coordinates."""
-        return (u - self.center) / self.scale
+        scaled = (u - self.center) / self.scale
+        return scaled if self.mix is None else scaled @ self.mix
 
     def or_else(self, other: Self) -> Self:
         """These coordinates, or `other` where the two differ by much.
@@ -63,22 +74,51 @@ class Standardiser:
         While the coordinates stay, so do the surrogate's sites: a fit to ten more labels then
         converges in a few sweeps.
         """
-        shift = np.abs(other.center - self.center) / self.scale
-        if max(shift.max(), _stretch(self.scale, other.scale)) >= MAX_DRIFT:
+        shift = np.abs(self(other.center[None]))
+        if max(shift.max(), self._stretched(other)) >= MAX_DRIFT:
             return other
         drifted = _stretch(self.unit, other.unit) >= MAX_DRIFT
         return replace(self, unit=other.unit) if drifted else self
 
+    def _stretched(self, other: Self) -> float:
+        """How far coordinates are stretched on the way to those of `other`, in logarithms."""
+        if self.mix is None and other.mix is None:
+            return _stretch(self.scale, other.scale)
+        way = np.linalg.solve(self._linear, other._linear)
+        return float(np.abs(np.log(np.linalg.svd(way, compute_uv=False))).max())
+
+    @property
+    def _linear(self) -> FloatArray:
+        mix = np.eye(len(self.scale)) if self.mix is None else self.mix
+        return np.asarray(mix / self.scale[:, None])
+
     @classmethod
     def weighted(
-        cls, u: FloatArray, weights: FloatArray, broad: FloatArray | None = None
+        cls,
+        u: FloatArray,
+        weights: FloatArray,
+        broad: FloatArray | None = None,
+        *,
+        free: bool = False,
     ) -> "Standardiser":
         """Weighted mean and standard deviation of `u` (n, m), the latter with a floor.
 
-        The unit is the standard deviation by the weights `broad` (n,), if they are others.
+        The unit is the standard deviation by the weights `broad` (n,), if they are others. Where
+        no coordinate has a meaning of its own, `free`, an oblique and thin spread is made round.
         """
         center, scale = _spread(u, weights)
-        return cls(center, scale, scale if broad is None else _spread(u, broad)[1])
+        mix = _rounded((u - center) / scale, weights) if free else None
+        return cls(center, scale, scale if broad is None else _spread(u, broad)[1], mix)
+
+
+def _rounded(z: FloatArray, weights: FloatArray) -> FloatArray | None:
+    """What makes the spread of scaled coordinates `z` (n, m) round, if it is thin; else None."""
+    if 1 / float(weights @ weights) < ROUND_FROM * z.shape[1]:
+        return None
+    thin, axes = np.linalg.eigh((z.T * weights) @ z)
+    if thin[0] > THIN:
+        return None
+    return np.asarray(axes / np.sqrt(np.maximum(thin, THINNEST)))
 
 
 def _stretch(scale: FloatArray, other: FloatArray) -> float:
