@@ -13,6 +13,7 @@ from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.run import estimate
 from crashrate.estimation.strategy import Problem
+from crashrate.estimation.view import see
 
 LEVEL = norm.isf(5e-4)
 
@@ -198,6 +199,21 @@ def test_where_crashes_were_only_likely_a_safe_one_is_a_doubt(cases, monkeypatch
     look = last_look(cases, cases.increasing(2), lambda x: np.zeros(len(x)))[2]
     assert look.doubted
     assert not look.surprised
+
+
+def test_supposed_crashes_are_drawn_as_traffic_has_them(cases, monkeypatch):
+    monkeypatch.setattr(surveying, "N_UNORDERED", 300)
+    x = last_look(cases, None, beyond)[1][surveying.N_AGAIN :]
+    level = norm.isf(1e-4)
+    past = x.sum(axis=1) / np.sqrt(2) - level
+    assert len(x) > 100
+    # as far past the edge as traffic goes; the pool that they are drawn from keeps to it
+    assert past.mean() == pytest.approx(norm.pdf(level) / norm.sf(level) - level, abs=0.06)
+
+
+def test_nothing_is_supposed_where_simulations_fail(cases, monkeypatch):
+    monkeypatch.setattr(surveying, "see", lambda *a: replace(v := see(*a), failing=v.h > 0.5))
+    assert len(last_look(cases, None, beyond)[1]) == surveying.N_AGAIN
 
 
 def test_where_little_hangs_on_the_surrogate_it_is_not_asked(cases, monkeypatch):

@@ -138,7 +138,7 @@ def _survey(
     if ended or look.surprised:
         state = replace(state, surveyed_for=target if ended else math.inf)
     if look.surprised:
-        return replace(state, rounds=(), model=state.model.forgetting())
+        return replace(state, rounds=(), n_directed=0, model=state.model.forgetting())
     return _reconsidered(state, *_fit(state)) if look.doubted else state
 
 

@@ -30,7 +30,7 @@ from crashrate.estimation.probing import (
     reachable,
 )
 from crashrate.estimation.strategy import Problem, Query, Snapshot
-from crashrate.estimation.view import normalised
+from crashrate.estimation.view import normalised, see
 from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.variables import FloatArray
 
@@ -133,14 +133,15 @@ def supposed(
 ) -> FloatArray:
     """A few situations (n, d) that only the surrogate holds to crash, and surely.
 
-    As likely as they are in traffic. None where all of those together are next to nothing of the
-    `probability`.
+    As likely as they are in traffic. None where simulations fail, and none at all where all of
+    those together are next to nothing of the `probability`.
     """
     labels = belief.labels
     pool = draw_pool(belief.proposal, problem.traffic, labels.coordinates, N_POOL, rng)
+    view = see(pool, labels, belief.surrogate, belief.standardise)
     decided = np.logical_or(*labels.presumed(pool.u))
-    sure = belief.see(pool.x).surrogate_h > SURE_OF_CRASH
-    mass = np.where(sure & ~decided, pool.weights, 0.0)
+    sure = (view.surrogate_h > SURE_OF_CRASH) & ~decided & ~view.failing
+    mass = np.where(sure, pool.weights, 0.0)
     if mass.sum() <= LITTLE * probability:
         return pool.x[:0]
     n = N_INSIDE if belief.ordered else N_UNORDERED
