@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from crashrate.traffic.alternatives import COPULA, INDEPENDENT, alternatives
+from crashrate.traffic.margins import Margin
 
 LOWER, UPPER = np.array([-1.5, -np.inf]), np.array([np.inf, np.inf])
 CORRELATION = 0.6
@@ -62,3 +63,25 @@ def test_independent_margins_do_not(laws, events):
 def test_a_bounded_variable_has_no_pareto_tail(events):
     bounded = alternatives(events[events[:, 1] < 2], LOWER, np.array([np.inf, 2.0]))[1]
     assert [m.tail is None for m in bounded.margins] == [False, True]
+
+
+@pytest.fixture(scope="module")
+def skewed():
+    """The margin of values one in a thousand of which lies far beyond the deviation of all."""
+    rng = np.random.default_rng(3)
+    z = np.abs(np.where(rng.random(20_000) < 1e-3, 40.0, 1.0) * rng.standard_normal(20_000))
+    return Margin.of(z, 0.0, np.inf)
+
+
+def test_scores_and_values_are_each_others_inverse_to_the_end(skewed):
+    z = np.array([1e-4, 0.3, 2.0, 5.0, 20.0, 60.0, 120.0])
+    assert skewed.of_scores(skewed.normal_scores(z)) == pytest.approx(z, rel=1e-4, abs=1e-9)
+
+
+def test_a_rare_wide_component_is_drawn(skewed):
+    assert skewed.body.covariance[0, 0] < 2.0**2
+    z = skewed.of_scores(np.random.default_rng(4).standard_normal(1_000_000))
+    for level in (20.0, 40.0):
+        expected = 1e6 * (1 - skewed.below(np.array([level]))[0])
+        assert expected > 50
+        assert np.count_nonzero(z > level) == pytest.approx(expected, abs=5 * np.sqrt(expected))

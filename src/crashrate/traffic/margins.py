@@ -19,6 +19,7 @@ TAIL_SHARE = 0.025  # of the events, beyond which the Pareto law takes over
 MIN_BEYOND, LEAST_SHAPE = 30, -0.5
 N_GRID = 2049
 N_NEWTON = 4
+SPREAD = 9.0  # deviations beyond which a component has next to nothing
 LEAST = 1e-300
 
 
@@ -128,27 +129,27 @@ class Margin:
 
     def of_scores(self, scores: FloatArray) -> FloatArray:
         """Values (n,) with these standard normal scores."""
-        p = ndtr(scores)
-        grid = self._grid
-        z = np.interp(p, self.below(grid), grid)
+        p, (grid, levels) = ndtr(scores), self._grid
+        cell = np.clip(np.searchsorted(levels, p), 1, len(grid) - 1)
+        z = np.interp(p, levels, grid)
         for _ in range(N_NEWTON):  # the density is the slope
             slope = np.exp(self.log_density(z))
             step = (self.below(z) - p) / np.maximum(slope, 1e-12)
-            z = np.clip(z - np.clip(step, -self._step, self._step), grid[0], grid[-1])
+            z = np.clip(z - step, grid[cell - 1], grid[cell])
         if self.tail is not None:
             beyond = ndtr(-scores) < self.tail.share
             z[beyond] = self.tail.quantile_above(ndtr(-scores[beyond]))
         return np.asarray(z)
 
     @cached_property
-    def _grid(self) -> FloatArray:
-        """Values that hold all but a rounding of the body."""
-        spread = 9 * float(np.sqrt(self.body.covariance[0, 0]))
-        centre = float(self.body.mean[0])
-        low = max(float(self.body.lower[0]), centre - spread)
-        high = min(float(self.body.upper[0]), centre + spread)
-        return frozen(np.linspace(low, high, N_GRID))
+    def _grid(self) -> tuple[FloatArray, FloatArray]:
+        """Values that hold all but a rounding of each of the body's components; shares below.
 
-    @cached_property
-    def _step(self) -> float:
-        return float(self._grid[1] - self._grid[0])
+        Of each by itself: a rare wide one reaches far beyond what the deviation of all says.
+        """
+        center = self.body.component_means[:, 0]
+        spread = SPREAD * np.sqrt(self.body.covariances[:, 0, 0])
+        ends = center + np.array([[-1.0], [1.0]]) * spread
+        low, high = np.clip(ends, self.body.lower[0], self.body.upper[0])
+        values = np.unique(np.linspace(low, high, N_GRID))
+        return frozen(values), frozen(self.below(values))
