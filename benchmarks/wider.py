@@ -1,9 +1,9 @@
 """Problems beyond the usual ones: where a campaign could fail, each with a known probability.
 
 Curved and concave sets (``outside a ball``, ``corner``, ``union``), a rough edge (``stairs``),
-a safe ``pocket``, a thin ``strip``, several regions (``three half-planes``), risk orders that fail
-in places or throughout (``holes``, ``wrong sign``), outcomes that are random, traffic that hardly
-reaches its box, and a vehicle that never crashes.
+a safe ``pocket``, thin sets (``strip``, ``ring``, ``stripes``, ``rare ring``), several regions
+(``three half-planes``), risk orders that fail in places or throughout (``holes``, ``wrong sign``),
+outcomes that are random, traffic that hardly reaches its box, and a vehicle that never crashes.
 """
 
 import math
@@ -114,6 +114,49 @@ def strip(nearest: float = 3.5, farthest: float = 3.8) -> Benchmark:
     return Benchmark(standard_normal(2), None, crash, reference)
 
 
+def ring(nearest: float = 4.5, farthest: float = 4.8) -> Benchmark:
+    """Two standard normals between two circles around the origin; no order declared."""
+
+    def crash(x: Rows) -> Outcomes:
+        radius = np.hypot(*x.T)
+        return (radius >= nearest) & (radius <= farthest)
+
+    reference = math.exp(-(nearest**2) / 2) - math.exp(-(farthest**2) / 2)
+    return Benchmark(standard_normal(2), None, crash, reference)
+
+
+def stripes(level: float = 3.8, width: float = 0.5) -> Benchmark:
+    """A half-plane cut into stripes across its edge, each second of which crashes; no order."""
+    from scipy.special import ndtr
+
+    def crash(x: Rows) -> Outcomes:
+        return np.asarray((x[:, 0] >= level) & (np.floor(x[:, 1] / width) % 2 == 0))
+
+    starts = width * np.arange(-80, 80, 2)
+    share = float((ndtr(starts + width) - ndtr(starts)).sum())
+    return Benchmark(standard_normal(2), None, crash, float(ndtr(-level)) * share)
+
+
+def rare_ring(share: float = 1e-3, away: float = -12.0) -> Benchmark:
+    """A half-plane, and a ring around a component of `share` of traffic far off; no order.
+
+    Each component misses the other's crashes by more than ten standard deviations.
+    """
+    from scipy.special import ndtr
+
+    centers = np.array([[0.0, 0.0], [away, away]])
+    nearest, farthest, level = 2.8, 3.2, 4.5
+    traffic = mixture((1 - share, share), centers, [np.eye(2)] * 2)
+
+    def crash(x: Rows) -> Outcomes:
+        radius = np.hypot(*(x - centers[1]).T)
+        return (x[:, 0] >= level) | ((radius >= nearest) & (radius <= farthest))
+
+    in_ring = math.exp(-(nearest**2) / 2) - math.exp(-(farthest**2) / 2)
+    reference = (1 - share) * float(ndtr(-level)) + share * in_ring
+    return Benchmark(traffic, None, crash, reference)
+
+
 def holes(share: float, probability: float = 1e-5) -> Benchmark:
     """A half-plane of which cells of 0.05 standard deviations are safe, `share` of them at random.
 
@@ -201,6 +244,9 @@ WIDER: Mapping[str, Callable[[], Benchmark]] = {
     "stairs": stairs,
     "pocket": pocket,
     "strip": strip,
+    "ring": ring,
+    "stripes": stripes,
+    "rare ring": rare_ring,
     "holes in 0.1 %": lambda: holes(0.001),
     "holes in 1 %": lambda: holes(0.01),
     "holes in 10 %": lambda: holes(0.1),

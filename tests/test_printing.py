@@ -66,8 +66,8 @@ def test_the_kept_fit_shows_its_masses_its_prior_and_its_convergence(capsys):
     print_fit(model(prior_strength=1.0, promise=2.5e-8))
     shown = capsys.readouterr()
     assert shown.out == (
-        "Kept fit: smallest mass of a component in the box 5.0e-01, prior strength 1, "
-        "gain still promised 2.5e-08 per event.\n"
+        "Kept fit: at least 50 % of every component lie in the box, prior worth 1 event, "
+        "log likelihood within 2e-08 of its maximum per event.\n"
     )
     assert shown.err == ""
 

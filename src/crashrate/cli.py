@@ -200,7 +200,8 @@ def fit(
     names = ", ".join(model.names)
     further = len(model.members) - 1  # the model is the first of its members
     members = f", with {runs(further, 'further fit')}" if further > 0 else ""
-    typer.echo(f"{out}: {model.n_components} truncated normal components in {names}{members}")
+    components = runs(model.n_components, "truncated normal component")
+    typer.echo(f"{out}: {components} in {names}{members}")
 
 
 @_command(

@@ -182,14 +182,19 @@ def _print_kept(model: "TrafficModel") -> None:
 
     prior, promise = model.provenance["prior_strength"], model.provenance["promise"]
     typer.echo(
-        f"Kept fit: smallest mass of a component in the box {model.component_masses.min():.1e}, "
-        f"prior strength {prior:g}, gain still promised {promise:.1e} per event."
+        f"Kept fit: at least {100 * model.component_masses.min():.2g} % of every component lie in "
+        f"the box, prior worth {prior:g} event{'s' if prior != 1 else ''}, {_converged(promise)}."
     )
     if prior > PRIOR_STRENGTH:
         show_warning(
             f"the prior had to be raised from {PRIOR_STRENGTH:g} to {prior:g} events, for "
             "components ran out of the box; give fewer --components."
         )
+
+
+def _converged(promise: float) -> str:
+    """How far the fit's log likelihood is from its maximum, per event."""
+    return f"log likelihood within {promise:.0e} of its maximum per event"
 
 
 def _range(values: Iterable[float | None]) -> float:
@@ -225,4 +230,5 @@ def standing(campaign: "Campaign", n_stored: int = 0) -> str:
     relative, name = (high - low) / 2 / number, "P" if aimed is None else f"E({aimed.name})"
     # upper ends far above the estimate stand for little seen so far: a percentage says less
     around = f"± {100 * relative:.3g} %" if relative <= 1 else f"in [{low:.1e}, {high:.1e}]"
-    return f"{text}: {name} = {number:.2e} {around} {target}"
+    met = ", met: what it rests on is checked" * (relative <= problem.relative_half_width)
+    return f"{text}: {name} = {number:.2e} {around} {target[:-1]}{met})"

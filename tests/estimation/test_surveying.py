@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from crashrate.estimation import sequential, surveying
+from crashrate.estimation import aiming, sequential, surveying
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import Campaign
+from crashrate.estimation.probing import farthest_as_scaled
 from crashrate.estimation.run import estimate
 from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import see
+from crashrate.sampling.gaussians import Gaussians
+from crashrate.sampling.pool import Blend
 
 LEVEL = norm.isf(5e-4)
+N_OUTSIDE = surveying.N_ALIKE + surveying.N_BESIDE + surveying.N_ANYWHERE
 
 
 def two_sides(x, level=LEVEL):
@@ -39,7 +43,8 @@ def test_both_sides_are_found(cases, check_coverage):
 
 def test_without_surveys_one_side_is_lost(cases, monkeypatch):
     monkeypatch.setattr(surveying, "N_FIRST", 0)
-    monkeypatch.setattr(surveying, "N_AGAIN", 0)
+    for name in ("N_ALIKE", "N_BESIDE", "N_ANYWHERE"):
+        monkeypatch.setattr(surveying, name, 0)
     ratios = [found(cases, seed).probability / P for seed in range(4)]
     assert min(ratios) < 0.7
 
@@ -145,6 +150,23 @@ def test_with_an_order_too_a_surprise_voids_what_was_estimated(cases, monkeypatc
     assert got.interval[0] <= ANY <= got.interval[1]
 
 
+def test_a_surprise_at_the_end_of_the_budget_leaves_a_first_idea(cases, monkeypatch):
+    """The rounds are void, and nothing is left to estimate anew: they are better than nothing."""
+    plain = ordered(cases, 0)
+
+    def surprised(*arguments):
+        look = yield from surveying.survey(*arguments)
+        return replace(look, surprised=True)
+
+    monkeypatch.setattr(sequential, "survey", surprised)
+    got = ordered(cases, 0, max_calls=plain.n_calls + 5)
+    assert got.stop_reason is StopReason.BUDGET_ENDED
+    assert got.probability == pytest.approx(ANY, rel=0.3)
+    assert got.interval[0] == 0
+    assert plain.interval[1] < got.interval[1] <= max(got.bounds[1], 2 * ANY)
+    assert {Alarm.OUTCOMES_UNFORESEEN, Alarm.UNSETTLED} <= set(got.alarms)
+
+
 def beyond(x):
     return x.sum(axis=1) >= np.sqrt(2) * norm.isf(1e-4)
 
@@ -172,7 +194,7 @@ def last_look(cases, risk, outcomes):
 def test_the_last_look_goes_where_only_the_surrogate_sees_crashes(cases, ordered):
     risk = cases.increasing(2) if ordered else None
     belief, x, look = last_look(cases, risk, beyond)
-    x = x if ordered else x[surveying.N_AGAIN :]
+    x = x if ordered else x[N_OUTSIDE :]
     inside = belief.see(x).surrogate_h > surveying.SURE_OF_CRASH
     most = surveying.N_INSIDE if ordered else surveying.N_UNORDERED
     assert 1 <= np.count_nonzero(inside) <= most
@@ -203,7 +225,7 @@ def test_where_crashes_were_only_likely_a_safe_one_is_a_doubt(cases, monkeypatch
 
 def test_supposed_crashes_are_drawn_as_traffic_has_them(cases, monkeypatch):
     monkeypatch.setattr(surveying, "N_UNORDERED", 300)
-    x = last_look(cases, None, beyond)[1][surveying.N_AGAIN :]
+    x = last_look(cases, None, beyond)[1][N_OUTSIDE :]
     level = norm.isf(1e-4)
     past = x.sum(axis=1) / np.sqrt(2) - level
     assert len(x) > 100
@@ -213,12 +235,62 @@ def test_supposed_crashes_are_drawn_as_traffic_has_them(cases, monkeypatch):
 
 def test_nothing_is_supposed_where_simulations_fail(cases, monkeypatch):
     monkeypatch.setattr(surveying, "see", lambda *a: replace(v := see(*a), failing=v.h > 0.5))
-    assert len(last_look(cases, None, beyond)[1]) == surveying.N_AGAIN
+    assert len(last_look(cases, None, beyond)[1]) == N_OUTSIDE
 
 
 def test_where_little_hangs_on_the_surrogate_it_is_not_asked(cases, monkeypatch):
     monkeypatch.setattr(surveying, "LITTLE", 1e9)
-    assert len(last_look(cases, None, beyond)[1]) == surveying.N_AGAIN
+    assert len(last_look(cases, None, beyond)[1]) == N_OUTSIDE
+
+
+def test_without_an_order_the_last_look_is_at_places_as_likely_as_the_likeliest_crash(cases):
+    belief, x, look = last_look(cases, None, beyond)
+    traffic, labels = cases.standard_normal(2), belief.labels
+    outside = x[: surveying.N_ALIKE + surveying.N_BESIDE]
+    less = traffic.log_density(labels.crashes).max() - traffic.log_density(outside)
+    assert less.max() < 2 * surveying.BELOW
+    assert less.min() > -surveying.ABOVE
+    assert (belief.see(outside).surrogate_h < surveying.SURE).all()
+    towards = outside.sum(axis=1) / np.sqrt(2)
+    assert towards[: surveying.N_ALIKE].min() < -3  # on every side of the origin
+    assert not look.surprised
+
+
+def test_the_widened_fit_has_the_share_beside_what_was_fitted():
+    narrow, wide = (Gaussians(np.ones(1), np.zeros((1, 2)), s * np.eye(2)[None]) for s in (1, 9))
+    traffic = Gaussians(np.ones(1), np.full((1, 2), -20.0), np.eye(2)[None])
+    proposal = Blend(aiming.SHARES, (narrow, wide, traffic, traffic))
+    x = np.array([[0.0, 0.0], [5.0, 0.0], [-20.0, -20.0]])
+    places = SimpleNamespace(x=x, log_q=proposal.log_density(x))
+    assert aiming.beside(proposal, places) == pytest.approx([1 / (1 + 7 * 9), 1, 0], abs=1e-3)
+    assert aiming.beside(narrow, places).tolist() == [1, 1, 1]
+
+
+def test_the_farthest_are_weighed_by_their_worth():
+    z, known, rows = np.array([[1.0], [2.0], [4.0], [9.0]]), np.zeros((1, 1)), np.array([0, 1, 2])
+    assert farthest_as_scaled(z, known, rows, 2).tolist() == [2, 1]
+    worth = np.array([1.0, 5.0, 1.0, 100.0])
+    assert farthest_as_scaled(z, known, rows, 2, worth).tolist() == [1, 2]
+    assert farthest_as_scaled(z, known, rows[:0], 2, worth).tolist() == []
+
+
+def ring(x):
+    radius = np.hypot(*x.T)
+    return (radius >= 3.8) & (radius <= 4.2)
+
+
+RING = np.exp(-(3.8**2) / 2) - np.exp(-(4.2**2) / 2)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_thin_ring_is_found_whole(cases, seed, monkeypatch):
+    """Where it is not looked at places as likely as the likeliest crash, most of it is lost."""
+    got = found(cases, seed, ring, max_calls=800)
+    assert got.stop_reason is StopReason.TARGET_MET
+    assert got.interval[0] <= RING <= got.interval[1]
+    monkeypatch.setattr(surveying, "N_ALIKE", 0)
+    monkeypatch.setattr(surveying, "N_BESIDE", 0)
+    assert found(cases, seed, ring, max_calls=800).interval[1] < 0.5 * RING
 
 
 def test_surveys_come_to_an_end(cases, monkeypatch):

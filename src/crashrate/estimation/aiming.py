@@ -8,7 +8,7 @@ import numpy as np
 from crashrate.estimation.exploration import INFLATION, inflated
 from crashrate.estimation.view import View
 from crashrate.sampling.gaussians import fit_gaussians
-from crashrate.sampling.pool import Blend
+from crashrate.sampling.pool import Blend, Density, Pool
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
@@ -31,6 +31,17 @@ def aim(
     fitted = replace(fitted, covariances=fitted.covariances * WIDEN)
     beside = replace(fitted, covariances=fitted.covariances * BESIDE)
     return Blend(SHARES, (fitted, beside, traffic, inflated(traffic, (INFLATION,))))
+
+
+def beside(proposal: Density, pool: Pool) -> FloatArray:
+    """Share (n,) of the density at draws of `pool` that the widened fit of its proposal has.
+
+    One for all where nothing was fitted yet.
+    """
+    if not isinstance(proposal, Blend):
+        return np.ones(len(pool.x))
+    log = np.log(SHARES[1]) + proposal.densities[1].log_density(pool.x)
+    return np.asarray(np.exp(log - pool.log_q))
 
 
 def _aims(view: View, *, ordered: bool) -> list[FloatArray]:

@@ -22,7 +22,7 @@ from crashrate.estimation.rounds import (
 )
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
-from crashrate.estimation.trust import Trust, trust
+from crashrate.estimation.trust import Trust, allowed, trust
 from crashrate.estimation.view import View
 
 SCATTER_LIMIT = 3.0
@@ -55,6 +55,24 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
         alarms=doubts(problem, state, c, bounds),
         phase="estimate",
         stop_reason=_stop(problem, state, c, around),
+    )
+
+
+def first_idea(problem: Problem, state: State, view: View) -> Snapshot:
+    """What rounds say that were refuted, or voided, where the budget left none to follow them.
+
+    Their estimate is wrong by an amount that nobody knows: from nothing to what their draws and the
+    order allow.
+    """
+    bounds = view.bounds() if state.ordered else (0.0, 1.0)
+    c = combine(state.rounds, problem.confidence, state.least_inflation)
+    return Snapshot(
+        learned=state.labels.learned,
+        bounds=bounds,
+        probability=c.estimate,
+        interval=(0.0, max(c.upper, allowed(problem, state, bounds[1]))),
+        alarms=(*doubts(problem, state, None, bounds), Alarm.UNSETTLED),
+        phase="learn",
     )
 
 

@@ -95,8 +95,9 @@ def declared(
     if aim is not None and aim not in names:
         known = nearest(aim, names) if names else ", and none is declared"
         raise InvalidInputError(
-            f"aim: expected one of the consequences, got {aim!r}{known}; declare it in "
-            "consequences, or leave aim out to aim at the event."
+            f"aim: expected one of the consequences, got {aim!r}{known}; declare it among the "
+            "consequences (in a scenario file under [outcome]), or leave aim out to aim at the "
+            "event."
         )
     if names and (method not in TELL_CONSEQUENCES or goal != "probability"):
         raise InvalidInputError(

@@ -91,16 +91,29 @@ def vouched_safe(problem: Problem, labels: Labels, pool: Pool, n: int) -> np.nda
 def farthest(u: FloatArray, known: FloatArray, rows: np.ndarray, n: int) -> np.ndarray:
     """`n` of `rows`, each the farthest from the known points and those chosen before it.
 
-    The first, where nothing is known, is the farthest from the center of all.
+    In units of the spread of all. The first, where nothing is known, is the farthest from the
+    center.
     """
+    scale = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
+    return farthest_as_scaled(u / scale, known / scale, rows, n)
+
+
+def farthest_as_scaled(
+    z: FloatArray,
+    known: FloatArray,
+    rows: np.ndarray,
+    n: int,
+    worth: FloatArray | None = None,
+) -> np.ndarray:
+    """The same for coordinates whose unit is that of distances, their squares times `worth`."""
     if not len(rows):
         return rows
-    scale = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
-    z, chosen = u[rows] / scale, []
-    near = known / scale if len(known) else z.mean(axis=0)[None]
+    z, chosen = z[rows], []
+    worth = np.ones(len(rows)) if worth is None else worth[rows]
+    near = known if len(known) else z.mean(axis=0)[None]
     distance = cKDTree(near).query(z)[0] ** 2
     for _ in range(min(n, len(rows))):
-        best = int(distance.argmax())
+        best = int((worth * distance).argmax())
         chosen.append(best)
         distance = np.minimum(distance, ((z - z[best]) ** 2).sum(axis=1))
     return rows[chosen]

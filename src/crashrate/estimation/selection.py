@@ -105,11 +105,13 @@ def systematic(likely: FloatArray, n: int, start: float) -> IntArray:
 def estimating(view: View) -> FloatArray:
     """Probability (N,) of each draw of the pool in one draw to estimate from."""
     spread = normalised(view.aimed_spread)
+    # without an order all is undecided, and nearly all of it ordinary traffic, which tells nothing
+    undecided = (view.weights if view.implied_safe.any() else view.alike) * view.undecided
     likely = np.where(view.inner, 1.0, view.surrogate_h)
     parts = (
         (SPREAD, view.aimed_spread),
         (UNDECIDED_CRASH, view.weights * view.h * view.undecided),
-        (UNDECIDED, view.weights * view.undecided),
+        (UNDECIDED, undecided),
         (AUDIT, np.where(view.inner | view.safe, view.weights * likely, 0.0)),
     )
     mixed = sum(s * (normalised(p) if p.sum() > 0 else spread) for s, p in parts)

@@ -14,7 +14,7 @@ import numpy as np
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import Alarm, StopReason
-from crashrate.estimation.answer import answer, doubts, outvoted
+from crashrate.estimation.answer import answer, doubts, first_idea, outvoted
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.carried import carry
 from crashrate.estimation.consequences import expect
@@ -115,6 +115,9 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
         # the last pool as it is seen now: what was held of it before may have been the mistake
         view = see(view.pool, state.labels, surrogate, model.standardise)
         snapshot = answer(problem, _reconsidered(state, surrogate, model), view)
+        before = replace(state, rounds=state.rounds or state.voided)
+        if before.rounds and math.isnan(snapshot.probability):
+            snapshot = first_idea(problem, _reconsidered(before, surrogate, model), view)
     if snapshot.stop_reason is StopReason.TARGET_MET:
         snapshot = replace(snapshot, alarms=(*snapshot.alarms, Alarm.TARGET_UNCHECKED))
     return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
@@ -138,7 +141,14 @@ def _survey(
     if ended or look.surprised:
         state = replace(state, surveyed_for=target if ended else math.inf)
     if look.surprised:
-        return replace(state, rounds=(), n_directed=0, model=state.model.forgetting())
+        return replace(
+            state,
+            rounds=(),
+            voided=state.rounds,
+            voided_at=state.labels.n,
+            n_directed=0,
+            model=state.model.forgetting(),
+        )
     return _reconsidered(state, *_fit(state)) if look.doubted else state
 
 
@@ -306,6 +316,7 @@ def _distrust(state: State, view: View) -> State:
             state,
             labels=state.labels.without_order(),
             rounds=(),
+            voided=(),
             directed=found is not Verdict.FALSE,
             dropped_at=state.labels.n,
             surveyed_for=math.inf,

@@ -15,7 +15,7 @@ from crashrate.variables import FloatArray
 # budget grows must go on as it was.)
 LEARNING_RUNS = 300
 LATE_RUNS = 200  # where the first crash came late: nothing was known of its region before
-RELEARNING_RUNS = 100  # after an order was dropped
+RELEARNING_RUNS = 100  # after an order was dropped, or a surprise voided what was estimated
 # What was seen may narrow an interval; not without an order, which nothing could contradict, nor at
 # a rough edge: its draws have only not yet met the rare large contributions.
 MIN_DOUBTED = 1.0
@@ -39,8 +39,10 @@ class State:
         Ordinary traffic, simulated where no order is in use.
     directed : bool
         Whether danger grows along the coordinates, though outcomes may not imply one another.
-    dropped_at : int or None
-        Simulator runs when the order was dropped.
+    dropped_at, voided_at : int or None
+        Simulator runs when the order was dropped, and when a surprise last voided the rounds.
+    voided : tuple of Round
+        Those rounds: a first idea, where no others follow.
     begun_at : int
         Simulator runs before the first round.
     k : int
@@ -69,6 +71,8 @@ class State:
     encounters: Encounters | None = None
     directed: bool = True
     dropped_at: int | None = None
+    voided_at: int | None = None
+    voided: tuple[Round, ...] = ()
     begun_at: int = 0
     k: int = 1
     learning: bool = True
@@ -95,5 +99,5 @@ class State:
         """Whether runs may still go into learning alone."""
         if self.members:
             return self.n_directed <= LEARNING_ROUNDS
-        without_order = 0 if self.dropped_at is None else self.dropped_at + RELEARNING_RUNS
-        return self.labels.n < max(LEARNING_RUNS, self.begun_at + LATE_RUNS, without_order)
+        anew = [at + RELEARNING_RUNS for at in (self.dropped_at, self.voided_at) if at is not None]
+        return self.labels.n < max(LEARNING_RUNS, self.begun_at + LATE_RUNS, *anew)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crashrate.crash_set.surrogate import Surrogate
+from crashrate.estimation.aiming import beside
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.contesting import SURE, contested
 from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
@@ -26,6 +27,7 @@ from crashrate.estimation.probing import (
     RARE_MASS,
     ask,
     farthest,
+    farthest_as_scaled,
     likeliest,
     reachable,
 )
@@ -34,7 +36,11 @@ from crashrate.estimation.view import normalised, see
 from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.variables import FloatArray
 
-N_FIRST, N_AGAIN = 20, 10
+# Without an order: runs before anything is estimated; and in the last look, where crashes would be
+# about as likely as known ones, beside those, and anywhere.
+N_FIRST, N_ALIKE, N_BESIDE, N_ANYWHERE = 20, 5, 5, 1
+# In log density, for each variable below and in all above the likeliest crash: about as likely.
+BELOW, ABOVE = 1.0, 0.5
 MAX_SURVEYS = 6
 SURPRISE = 0.5  # a crash less likely than this was not expected
 # With an order: runs for each coordinate (one in few coordinates), of those where the surrogate is
@@ -43,7 +49,7 @@ SURPRISE = 0.5  # a crash less likely than this was not expected
 N_EACH, FEW_COORDINATES, LITTLE = 2, 3, 0.05
 # Runs where only the surrogate says that a crash is so likely (and without an order, where more
 # hangs on it), and the size of the pool they are drawn from.
-N_INSIDE, N_UNORDERED, SURE_OF_CRASH, N_POOL = 3, 5, 0.9, 20_000
+N_INSIDE, N_UNORDERED, SURE_OF_CRASH, N_POOL = 3, 4, 0.9, 20_000
 
 Rivals = Callable[[], Sequence[Surrogate]]  # called where they are needed: they have to be fitted
 
@@ -93,7 +99,7 @@ def survey(
     if belief.ordered:
         outside = _silent(problem, belief, rivals, snapshot.probability, rng)
     else:
-        outside = emptiest(problem, labels, N_AGAIN, rng)
+        outside = _unseen(problem, belief, rng)
     x = np.concatenate([outside, supposed(problem, belief, snapshot.probability, rng)])
     h, before = belief.see(x).surrogate_h, labels.n
     labels = yield from ask(problem, labels, x, snapshot)
@@ -126,6 +132,29 @@ def _silent(
     n = m if m <= FEW_COORDINATES else N_EACH * m
     far = pool.x[farthest(pool.u, labels.u, rows, n)]
     return np.concatenate([far, contested(problem, belief, rivals(), n, rng)])
+
+
+def _unseen(problem: Problem, belief: Belief, rng: np.random.Generator) -> FloatArray:
+    """Situations (n, d) that tell, without an order, whether the surrogate saw all crashes.
+
+    Far from all runs as it measures, and about as likely as the likeliest crash: a crash set that
+    goes on where no run came does so at its density. The same where only the widened fit to the
+    crashes reaches: one in pieces has others beside. And anywhere.
+    """
+    labels, z = belief.labels, belief.standardise
+    pool = draw_pool(belief.proposal, problem.traffic, labels.coordinates, N_POOL, rng)
+    view, known = see(pool, labels, belief.surrogate, z), likeliest(problem, labels)
+    alike = (pool.log_f > known - BELOW * pool.x.shape[1]) & (pool.log_f < known + ABOVE)
+    rows = np.flatnonzero(alike & (view.surrogate_h < SURE) & ~view.failing)
+    places, runs = z(pool.u), z(labels.u)
+    far = farthest_as_scaled(places, runs, rows, N_ALIKE)
+    runs, worth = np.concatenate([runs, places[far]]), beside(belief.proposal, pool)
+    near = farthest_as_scaled(places, runs, rows, N_BESIDE, worth)
+    found = np.concatenate([far, near])
+    wide = _wide(problem, labels, rng)
+    seen = np.concatenate([labels.u, pool.u[found]])
+    rest = farthest(wide.u, seen, reachable(wide, least=RARE_MASS), N_ANYWHERE)
+    return np.concatenate([pool.x[found], wide.x[rest]])
 
 
 def supposed(

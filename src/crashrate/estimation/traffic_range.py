@@ -67,11 +67,14 @@ class TrafficRange:
         A member that the runs do not determine enters with its upper value, two standard errors
         up, where that is still below the others' median; else it says nothing, and is left out.
         """
+        return float(self._logs.std(ddof=1)) if len(self.determined) >= 2 else math.nan
+
+    @property
+    def _logs(self) -> FloatArray:
+        """log P of the members that say something; see `log_deviation`."""
         found = self.determined
-        if len(found) < 2:
-            return math.nan
         low = self.upper[(self.n_eff < MIN_N_EFF) & (self.upper < np.median(found))]
-        return float(np.log(np.concatenate([found, low])).std(ddof=1))
+        return np.asarray(np.log(np.concatenate([found, low])))
 
     @property
     def undetermined(self) -> bool:
@@ -87,8 +90,9 @@ class TrafficRange:
                 f"traffic models: {m} fits to the recordings, too few of them determined by the "
                 "runs"
             )
+        least, half = (f"{q:.1e}" if q > 0 else "not determined" for q in (low, middle))
         text = (
-            f"{m} fits to the recordings give {low:.1e} … {middle:.1e} … {high:.1e} (5, 50, 95 %), "
+            f"{m} fits to the recordings give {least} … {half} … {high:.1e} (5, 50, 95 %), "
             "whose mean is the number above"
         )
         if n := self.n_undetermined:
@@ -99,9 +103,9 @@ class TrafficRange:
         """What the range means, before its numbers: a reader in a hurry stops there."""
         if not self.undetermined:
             return ""
-        low, middle, high = self.quantiles
-        factor = max(high / middle, middle / low) if low > 0 else math.inf
-        factor = min(factor, math.exp(3 * self.log_deviation))  # one member may be anywhere
+        low, middle, high = np.quantile(self._logs, QUANTILES)
+        # one member may be anywhere
+        factor = math.exp(min(max(high - middle, middle - low), 3 * self.log_deviation))
         return (
             "the recordings do not determine this number better than a factor "
             f"{factor:.0f} either way: "
@@ -113,6 +117,7 @@ class TrafficRange:
             "probabilities": list(self.probabilities),
             "standard_errors": list(self.standard_errors),
             "n_eff": self.n_eff.tolist(),
+            "determined": (self.n_eff >= MIN_N_EFF).tolist(),
             "quantiles": list(self.quantiles),
             "log_deviation": self.log_deviation,
             "n_undetermined": self.n_undetermined,

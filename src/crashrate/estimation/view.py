@@ -225,6 +225,19 @@ class View:
         return max(float(part @ part) - total**2 / self.pool.n_drawn, 0.0)
 
     @cached_property
+    def alike(self) -> FloatArray:
+        """Weight of each draw, of those denser than the likeliest crash cut to about as much.
+
+        By the square of the ratio of densities: under normal traffic what is denser, and what is
+        less dense, then weigh about the same.
+        """
+        crashing = self.pool.log_f[self.surrogate_h > OBJECTION]
+        if not len(crashing):
+            return self.weights
+        denser = np.maximum(self.pool.log_f - crashing.max(), 0.0)
+        return np.asarray(self.weights * np.exp(-2 * denser))
+
+    @cached_property
     def learning(self) -> FloatArray:
         """Distribution over draws, ∝ √f (h (1-h))³ / q: where outcomes teach most."""
         return self._doubtful(LEARN_DENSITY)

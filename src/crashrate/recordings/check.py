@@ -59,7 +59,7 @@ class Check:
 
     def alarms(self, estimate: Estimate) -> tuple[Alarm, ...]:
         """Doubts that the recordings cast on the estimate."""
-        claimed = self._claimed(estimate)
+        claimed, moved = self._claimed(estimate), self._moved(estimate)
         # without an order what was learned is not to be trusted where events are made worse
         ordered = not {Alarm.NO_ORDER, Alarm.ORDER_DROPPED} & set(estimate.alarms)
         raised = {
@@ -70,11 +70,9 @@ class Check:
                 and _apart(self.extremes.alarm_interval, claimed)
             ),
             Alarm.NEAR_MISSES_DISAGREE: any(tail.misfit for tail in self.tails),
-            Alarm.TRAFFIC_UNDETERMINED: (
-                self.influential is not None and self.influential.open_wide
-            ),
+            Alarm.TRAFFIC_UNDETERMINED: moved is not None and moved.open_wide,
             Alarm.REPLAY_DISAGREES: _apart(self.replay.interval, claimed),
-            Alarm.FEW_EVENTS_DECIDE: self.influential is not None and self.influential.few,
+            Alarm.FEW_EVENTS_DECIDE: moved is not None and moved.few,
         }
         return tuple(alarm for alarm, is_raised in raised.items() if is_raised)
 
@@ -91,9 +89,13 @@ class Check:
         """What to read below the answer: the replay, and what few events decide."""
         said = estimate.traffic_range is not None and estimate.traffic_range.undetermined
         spoken = [self.replay.sentence()]
-        if self.influential is not None:
-            spoken += self.influential.sentences(self.replay.n_events, said=said)
+        if (moved := self._moved(estimate)) is not None:
+            spoken += moved.sentences(self.replay.n_events, said=said)
         return spoken
+
+    def _moved(self, estimate: Estimate) -> Influential | None:
+        """What the events move; nothing where there is no number yet that they could."""
+        return self.influential if estimate.probability > 0 else None
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON-ready values."""

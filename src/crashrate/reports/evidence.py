@@ -245,7 +245,8 @@ def _vouched(record: RunRecord) -> tuple[Fact, ...]:
 def _traffic(record: RunRecord) -> str:
     traffic, provenance = record.traffic, record.traffic.provenance
     events = provenance.get("events") or {}
-    text = f"{len(traffic.weights)} truncated normal components in {', '.join(traffic.names)}"
+    n = len(traffic.weights)
+    text = f"{n} truncated normal component{'s' if n > 1 else ''} in {', '.join(traffic.names)}"
     if traffic.members:
         text += f", and {len(traffic.members) - 1} further fits"
     if provenance.get("description"):

@@ -1,7 +1,7 @@
 """From events to a traffic model that remembers where it comes from."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from crashrate.runs.scenario import Scenario
 from crashrate.traffic.model import TrafficModel
 
 if TYPE_CHECKING:
-    from crashrate.traffic.ensemble import Failed, Fitted
+    from crashrate.traffic.ensemble import Failed, Fitted, OnStep
 
 AUTO = tuple(range(1, 16))
 EVENTS_PER_COMPONENT = 10  # fewer are refused
@@ -121,7 +121,7 @@ def fit_traffic(
     n_restarts: int = 1,
     n_members: int = 0,
     workers: int | None = 1,
-    on_step: Callable[[int, int, str], None] | None = None,
+    on_step: "OnStep | None" = None,
 ) -> TrafficModel:
     """Fit a truncated mixture to events: the number of components with the lowest BIC.
 
@@ -186,8 +186,16 @@ def fit_traffic(
         if not n_members:
             return model
         tasks = member_tasks(n_members, selection.admissible, seed)
-        found = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=on_step)
+        say = _of_further_fits(on_step)
+        found = fit_tasks(tasks, events.values, parameters, workers=workers, on_step=say)
     return with_members(model, _members(found))
+
+
+def _of_further_fits(on_step: "OnStep | None") -> "OnStep | None":
+    """`on_step`, whose message says that these are not the fits before, counted anew."""
+    if on_step is None:
+        return None
+    return lambda done, total, message: on_step(done, total, f"to re-weighted events, {message}")
 
 
 def _members(found: "Sequence[Fitted | Failed]") -> "list[Fitted]":
