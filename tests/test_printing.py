@@ -104,6 +104,12 @@ def test_progress_follows_what_is_aimed_at():
         assert shown == f"80 of at most 2,000 runs, estimate: {says} (target ± 10 %)"
 
 
+def test_progress_says_that_the_target_is_met_and_checked():
+    for half, met in ((1.01e-7, ""), (0.99e-7, ", met: what it rests on is checked")):
+        snapshot = Snapshot(probability=1e-6, interval=(1e-6 - half, 1e-6 + half), phase="estimate")
+        assert standing(under_way(snapshot=snapshot)).endswith(f"(target ± 10 %{met})")
+
+
 def test_progress_names_the_ends_of_an_interval_wider_than_its_estimate():
     snapshot = Snapshot(probability=1e-6, interval=(0.0, 0.031), phase="estimate")
     shown = standing(under_way(snapshot=snapshot))

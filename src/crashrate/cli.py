@@ -67,7 +67,7 @@ def _components(text: str) -> str:
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Run folder.")]
-Seed = Annotated[int, typer.Option(min=0, help="Equal seeds give equal answers.")]
+Seed = Annotated[int, typer.Option(min=0, help="Equal ones give equal answers on a processor.")]
 OutputFormat = Annotated[Format, typer.Option("--format", help="What standard output shows.")]
 
 
@@ -230,7 +230,8 @@ def run(
         typer.Option(
             callback=_half_width,
             metavar="SHARE",
-            help="Target: half the interval over the estimate, 0.1 for ± 10 %.",
+            help="Target: half the interval over the estimate, 0.1 for ± 10 %; of bounds, half "
+            "their distance over their middle.",
             show_default="the scenario's, or 0.1",
         ),
     ] = None,

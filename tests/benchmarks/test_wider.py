@@ -17,6 +17,9 @@ WIDENED = {
     "stairs": 2.5,
     "pocket": 3.0,
     "strip": 3.0,
+    "ring": 3.0,
+    "stripes": 3.0,
+    "rare ring": 6.0,
     "holes in 0.1 %": 3.0,
     "holes in 1 %": 3.0,
     "holes in 10 %": 3.0,
@@ -27,7 +30,7 @@ WIDENED = {
     "wrong sign": 3.0,
 }
 # … and moved along every coordinate, where widened traffic hardly gets
-MOVED = {"corner, d = 4": 2.5}
+MOVED = {"corner, d = 4": 2.5, "rare ring": -6.0}
 
 
 def problem(name):

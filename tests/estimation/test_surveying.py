@@ -194,7 +194,7 @@ def last_look(cases, risk, outcomes):
 def test_the_last_look_goes_where_only_the_surrogate_sees_crashes(cases, ordered):
     risk = cases.increasing(2) if ordered else None
     belief, x, look = last_look(cases, risk, beyond)
-    x = x if ordered else x[N_OUTSIDE :]
+    x = x if ordered else x[N_OUTSIDE:]
     inside = belief.see(x).surrogate_h > surveying.SURE_OF_CRASH
     most = surveying.N_INSIDE if ordered else surveying.N_UNORDERED
     assert 1 <= np.count_nonzero(inside) <= most
@@ -225,7 +225,7 @@ def test_where_crashes_were_only_likely_a_safe_one_is_a_doubt(cases, monkeypatch
 
 def test_supposed_crashes_are_drawn_as_traffic_has_them(cases, monkeypatch):
     monkeypatch.setattr(surveying, "N_UNORDERED", 300)
-    x = last_look(cases, None, beyond)[1][N_OUTSIDE :]
+    x = last_look(cases, None, beyond)[1][N_OUTSIDE:]
     level = norm.isf(1e-4)
     past = x.sum(axis=1) / np.sqrt(2) - level
     assert len(x) > 100

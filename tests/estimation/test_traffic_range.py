@@ -105,6 +105,7 @@ def test_members_that_the_runs_do_not_determine_are_counted():
     assert got.n_undetermined == 1
     assert "1 of them is not determined by the runs" in got.sentence()
     assert got.quantiles[0] >= 0.0
+    assert got.to_dict()["determined"] == [True, True, False]
     none = TrafficRange((1e-6, 1e-6), (1e-6, 1e-6))
     assert math.isnan(none.quantiles[1])
     assert "too few of them determined" in none.sentence()
@@ -130,6 +131,17 @@ def test_members_far_below_the_others_count_as_spread():
     assert got.n_undetermined == 3
     assert got.undetermined
     assert TrafficRange((1e-6, 0.0), (1e-6, 1e-6)).undetermined  # nothing is known
+
+
+def test_the_factor_is_that_of_the_members_that_say_something():
+    """A member that the runs put at 0 is no probability of 0, and no end of the range."""
+    wide = (1e-8, 1e-7, 2e-7, 1e-6, 1e-5)
+    got = TrafficRange((*wide, -1e-9, -1e-9), (*(0.1 * p for p in wide), 1e-6, 1e-6))
+    assert got.quantiles[0] == 0
+    assert "give not determined … 1.0e-07 … 7.3e-06 (5, 50, 95 %)" in got.sentence()
+    low, middle, high = np.quantile(np.log(wide), [0.05, 0.5, 0.95])
+    factor = math.exp(max(high - middle, middle - low))
+    assert f"better than a factor {factor:.0f} either way" in got.sentence()
 
 
 @pytest.mark.parametrize("method", ["huang2017", "crude", "cross-entropy"])

@@ -1,6 +1,7 @@
 """All parts together, on events drawn from a known law: quiet where the model is right."""
 
 import json
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from crashrate.recordings.replay import Replay
 N = 20_000
 P = norm.sf(4.5)
 QUANTITIES = (Quantity("a", "", lambda x: x[:, 0], 1.0),)
-ANSWER = SimpleNamespace(interval=(0.9 * P, 1.1 * P), traffic_range=None, alarms=())
+ANSWER = SimpleNamespace(probability=P, interval=(0.9 * P, 1.1 * P), traffic_range=None, alarms=())
 
 
 def found(known, model, seed=0, replay=None):
@@ -69,10 +70,16 @@ def test_events_that_leave_the_number_wide_open_raise_an_alarm(right):
     open_wide = replace(right, influential=replace(right.influential, relative_error=2.6))
     assert "a factor 72.0 either way" in open_wide.sentences(ANSWER)[1]
     assert Alarm.TRAFFIC_UNDETERMINED in open_wide.alarms(ANSWER)
+    # where there is no number yet, nothing moves it
+    none = SimpleNamespace(probability=math.nan, interval=(0.0, 1.0), traffic_range=None, alarms=())
+    assert open_wide.sentences(none) == [open_wide.replay.sentence()]
+    assert Alarm.TRAFFIC_UNDETERMINED not in open_wide.alarms(none)
 
 
 def test_an_answer_that_events_exclude_is_seen(right):
-    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=None, alarms=())
+    answer = SimpleNamespace(
+        probability=0.015, interval=(0.01, 0.02), traffic_range=None, alarms=()
+    )
     right = replace(right, ladder=None)
     raised = right.alarms(answer)
     assert {Alarm.REPLAY_DISAGREES, Alarm.EXTREMES_DISAGREE} <= set(raised)
@@ -80,7 +87,9 @@ def test_an_answer_that_events_exclude_is_seen(right):
 
 def test_the_range_of_traffic_models_counts_as_claimed(right):
     members = TrafficRange((P, P, 0.015, 0.02), (P / 10, P / 10, 0.001, 0.001))
-    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=members, alarms=())
+    answer = SimpleNamespace(
+        probability=0.015, interval=(0.01, 0.02), traffic_range=members, alarms=()
+    )
     assert Alarm.REPLAY_DISAGREES not in right.alarms(answer)
 
 
@@ -130,7 +139,9 @@ def test_without_severity_there_is_no_ladder(known):
 
 
 def test_without_an_order_extremes_raise_nothing(right):
-    answer = SimpleNamespace(interval=(0.01, 0.02), traffic_range=None, alarms=(Alarm.NO_ORDER,))
+    answer = SimpleNamespace(
+        probability=0.015, interval=(0.01, 0.02), traffic_range=None, alarms=(Alarm.NO_ORDER,)
+    )
     assert Alarm.EXTREMES_DISAGREE not in replace(right, ladder=None).alarms(answer)
 
 

@@ -220,7 +220,11 @@ def _origin(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
             e.method,
             "“sequential”; for comparison “huang2017”, “crude”, “cross-entropy”.",
         ),
-        Fact("Seed", str(e.seed), "With scenario and traffic model, gives the same run again."),
+        Fact(
+            "Seed",
+            str(e.seed),
+            "On such a processor, with scenario and traffic model, gives the same run again.",
+        ),
         Fact(
             "Versions",
             ", ".join(f"{k} {v}" for k, v in versions.items()) or MISSING,

@@ -193,7 +193,7 @@ def _tails(tails: tuple[Tail, ...], rivals: tuple[Rival, ...]) -> Sheet:
         sides = zip(tail.levels, tail.counts, tail.expected, tail.low, tail.high, strict=True)
         for i, (level, n, expected, low, high) in enumerate(sides):
             sign = "≥" if tail.sign > 0 else "≤"
-            what = f"{tail.name} {sign} {plain(level, 3)} {tail.unit}".rstrip()
+            what = f"{tail.name} {sign} {plain(level, 4)} {tail.unit}".rstrip()
             odd = " (outside)" if tail.outside[i] else ""
             others = [_amount(r.near_misses[k][i]) for r in rivals]
             between = f"{_amount(low)} to {_amount(high)}"

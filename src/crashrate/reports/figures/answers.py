@@ -40,6 +40,8 @@ def answers_panel(estimate: Estimate, check: Check | None) -> Panel:
         "number owes to the traffic model: the distance between them is doubt that no simulator "
         "run can remove. A line that reaches the left edge goes on to 0."
     )
+    if estimate.traffic_range is not None:
+        caption += " The small dots are single fits; one that the runs put at 0 or below has none."
     described = "; ".join(f"{a.name} {power_of_ten(a.value)}" for a in answers)
     return Panel("answers", _TITLE, caption, (Plot(_figure(answers), f"{described}."),))
 
