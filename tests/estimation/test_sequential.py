@@ -222,9 +222,9 @@ def test_a_random_outcome_is_estimated_by_its_mean(cases, check_coverage):
             crash, case.traffic, risk=case.risk, seed=seed, relative_half_width=0.3, max_calls=400
         )
 
-    got = [estimated(seed) for seed in range(4)]
+    got = [estimated(seed) for seed in range(3)]
     check_coverage([e.interval for e in got], p)
-    # four estimates of ± 30 to 60 % each
+    # three estimates of ± 30 to 60 % each
     assert np.mean([e.probability for e in got]) == pytest.approx(p, rel=0.25)
 
 
@@ -245,12 +245,12 @@ def test_holes_in_the_crash_set_are_seen_and_counted(cases, check_coverage):
     p = float((weight * crash(x)).mean())
     assert p < 0.85e-3
     got = [
-        estimate(crash, case.traffic, risk=case.risk, seed=seed, max_calls=400) for seed in range(6)
+        estimate(crash, case.traffic, risk=case.risk, seed=seed, max_calls=400) for seed in range(4)
     ]
     check_coverage([e.interval for e in got], p)
     doubts = {Alarm.ORDER_DROPPED, Alarm.ORDER_CONTRADICTED}
     # a campaign ends early, and without a doubt, where its first few audits meet no hole: one of 32
-    assert sum(bool(doubts & set(e.alarms)) for e in got) >= 5
+    assert sum(bool(doubts & set(e.alarms)) for e in got) >= 3
 
 
 @pytest.mark.parametrize(("seed", "max_calls"), [(7005, 218), (7008, 211)])

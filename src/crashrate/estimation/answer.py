@@ -22,7 +22,7 @@ from crashrate.estimation.rounds import (
 )
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
-from crashrate.estimation.trust import Trust, allowed, trust
+from crashrate.estimation.trust import Trust, trust
 from crashrate.estimation.view import View
 
 SCATTER_LIMIT = 3.0
@@ -41,7 +41,8 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
     state = replace(state, rounds=rounds)
     c = combine(rounds, problem.confidence, state.least_inflation)
     n_runs = sum(r.n_runs for r in rounds)
-    around = c.lower, max(c.upper, trust(problem, state, c, bounds[1]).limit)
+    lower, upper = _with_failing(c, view)
+    around = lower, max(upper, trust(problem, state, c, bounds[1]).limit)
     return replace(
         start,
         probability=c.estimate,
@@ -58,19 +59,35 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
     )
 
 
-def first_idea(problem: Problem, state: State, view: View) -> Snapshot:
-    """What rounds say that were refuted, or voided, where the budget left none to follow them.
+def _with_failing(c: Combined, view: View) -> tuple[float, float]:
+    """The rounds' interval where all that now counts as failing is safe, and where it crashes.
 
-    Their estimate is wrong by an amount that nobody knows: from nothing to what their draws and the
-    order allow.
+    Earlier rounds took some of it for safe: it was not known that runs fail there.
+    """
+    failing = np.where(view.failing, view.weights, 0.0)
+    most, least = float(failing @ (1 - view.h)), float(failing @ view.h)
+    lower = max(min(c.lower, c.estimate - least - c.half_width), 0.0)
+    return lower, min(max(c.upper, c.estimate + most + c.half_width), 1.0)
+
+
+def first_idea(problem: Problem, state: State, view: View) -> Snapshot:
+    """What rounds say that a surprise voided, where the budget left none to follow them.
+
+    Their estimate is wrong by an amount that nobody knows: the interval is what the order and
+    random encounters leave. Nothing is said where these exclude it.
     """
     bounds = view.bounds() if state.ordered else (0.0, 1.0)
     c = combine(state.rounds, problem.confidence, state.least_inflation)
+    inner, outer = (0.0, 1.0) if state.labels.contradictions else bounds
+    met = state.encounters or Encounters()
+    if met.speak_against(c.upper):
+        return answer(problem, replace(state, rounds=()), view)
+    upper = max(c.upper, min(outer, met.interval(problem.confidence)[1]))
     return Snapshot(
         learned=state.labels.learned,
         bounds=bounds,
         probability=c.estimate,
-        interval=(0.0, max(c.upper, allowed(problem, state, bounds[1]))),
+        interval=(min(inner, c.lower), upper),
         alarms=(*doubts(problem, state, None, bounds), Alarm.UNSETTLED),
         phase="learn",
     )

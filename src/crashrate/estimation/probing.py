@@ -114,6 +114,8 @@ def farthest_as_scaled(
     distance = cKDTree(near).query(z)[0] ** 2
     for _ in range(min(n, len(rows))):
         best = int((worth * distance).argmax())
+        if not worth[best] * distance[best] > 0:  # the others are known, or worth nothing
+            break
         chosen.append(best)
         distance = np.minimum(distance, ((z - z[best]) ** 2).sum(axis=1))
     return rows[chosen]

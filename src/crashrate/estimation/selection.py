@@ -105,8 +105,10 @@ def systematic(likely: FloatArray, n: int, start: float) -> IntArray:
 def estimating(view: View) -> FloatArray:
     """Probability (N,) of each draw of the pool in one draw to estimate from."""
     spread = normalised(view.aimed_spread)
-    # without an order all is undecided, and nearly all of it ordinary traffic, which tells nothing
-    undecided = (view.weights if view.implied_safe.any() else view.alike) * view.undecided
+    # without an order all is undecided, nearly all of it ordinary traffic: half goes elsewhere
+    undecided = view.weights * view.undecided
+    if not view.implied_safe.any():
+        undecided = normalised(undecided) + normalised(view.alike * view.undecided)
     likely = np.where(view.inner, 1.0, view.surrogate_h)
     parts = (
         (SPREAD, view.aimed_spread),

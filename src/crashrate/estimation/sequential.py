@@ -85,6 +85,8 @@ def sequential(problem: Problem) -> Learner:
             snapshot = answer(problem, state, view)
             if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
                 state = yield from _survey(problem, state, snapshot, *fitted)
+                # where runs fail is known from the last ones too
+                view = view if state.labels.known.all() else _again(state, view)
                 snapshot = answer(problem, state, view)
                 if snapshot.stop_reason is StopReason.RUNNING and state.n_surveys < MAX_SURVEYS:
                     state = replace(state, surveyed_for=math.inf)
@@ -112,15 +114,22 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
     """What an ended budget leaves; the last outcomes have their say."""
     if view is not None:
         surrogate, model = _fit(state)
-        # the last pool as it is seen now: what was held of it before may have been the mistake
-        view = see(view.pool, state.labels, surrogate, model.standardise)
+        view = _again(
+            state, view
+        )  # what was held of the last pool before may have been the mistake
         snapshot = answer(problem, _reconsidered(state, surrogate, model), view)
-        before = replace(state, rounds=state.rounds or state.voided)
-        if before.rounds and math.isnan(snapshot.probability):
-            snapshot = first_idea(problem, _reconsidered(before, surrogate, model), view)
+        if state.voided and not state.rounds:
+            voided = replace(state, rounds=state.voided)
+            snapshot = first_idea(problem, _reconsidered(voided, surrogate, model), view)
     if snapshot.stop_reason is StopReason.TARGET_MET:
         snapshot = replace(snapshot, alarms=(*snapshot.alarms, Alarm.TARGET_UNCHECKED))
     return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
+
+
+def _again(state: State, view: View) -> View:
+    """The pool as it is seen now."""
+    surrogate, model = _fit(state)
+    return see(view.pool, state.labels, surrogate, model.standardise)
 
 
 def _survey(

@@ -16,6 +16,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import beside
@@ -37,8 +38,10 @@ from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.variables import FloatArray
 
 # Without an order: runs before anything is estimated; and in the last look, where crashes would be
-# about as likely as known ones, beside those, and anywhere.
-N_FIRST, N_ALIKE, N_BESIDE, N_ANYWHERE = 20, 5, 5, 1
+# about as likely as known ones, beside those, and where they would be likelier.
+N_FIRST, N_ALIKE, N_BESIDE, N_DENSER = 20, 4, 4, 3
+N_AGAIN = 10  # the same in more than a few coordinates, where no more than emptiness was measured
+N_NEXT = 2  # next to each of those that failed
 # In log density, for each variable below and in all above the likeliest crash: about as likely.
 BELOW, ABOVE = 1.0, 0.5
 MAX_SURVEYS = 6
@@ -99,12 +102,18 @@ def survey(
     if belief.ordered:
         outside = _silent(problem, belief, rivals, snapshot.probability, rng)
     else:
-        outside = _unseen(problem, belief, rng)
+        few = problem.traffic.n_variables <= FEW_COORDINATES
+        outside = _unseen(problem, belief, rng) if few else emptiest(problem, labels, N_AGAIN, rng)
     x = np.concatenate([outside, supposed(problem, belief, snapshot.probability, rng)])
-    h, before = belief.see(x).surrogate_h, labels.n
+    n, before = len(x), labels.n
     labels = yield from ask(problem, labels, x, snapshot)
+    failed = np.flatnonzero(np.isnan(labels.y[before:]))
+    if len(failed) and not belief.ordered:
+        x = np.concatenate([x, _next_to(problem, belief, x[failed], rng)])
+        labels = yield from ask(problem, labels, x[n:], snapshot)
     y = labels.y[before:]
-    h, safe = h[: len(y)], (y == 0) & (np.arange(len(y)) >= len(outside))
+    h, place = belief.see(x).surrogate_h[: len(y)], np.arange(len(y))
+    safe = (y == 0) & (place >= len(outside)) & (place < n)
     surprising = ((y == 1) & (h < SURPRISE)) | (safe & (h > 1 - SURE))
     return Look(labels, bool(surprising.any()), bool(safe.any()), len(y) == len(x))
 
@@ -139,7 +148,7 @@ def _unseen(problem: Problem, belief: Belief, rng: np.random.Generator) -> Float
 
     Far from all runs as it measures, and about as likely as the likeliest crash: a crash set that
     goes on where no run came does so at its density. The same where only the widened fit to the
-    crashes reaches: one in pieces has others beside. And anywhere.
+    crashes reaches: one in pieces has others beside. And where more would hang on a crash.
     """
     labels, z = belief.labels, belief.standardise
     pool = draw_pool(belief.proposal, problem.traffic, labels.coordinates, N_POOL, rng)
@@ -153,8 +162,20 @@ def _unseen(problem: Problem, belief: Belief, rng: np.random.Generator) -> Float
     found = np.concatenate([far, near])
     wide = _wide(problem, labels, rng)
     seen = np.concatenate([labels.u, pool.u[found]])
-    rest = farthest(wide.u, seen, reachable(wide, least=RARE_MASS), N_ANYWHERE)
+    rest = farthest(wide.u, seen, np.flatnonzero(wide.log_f >= known + ABOVE), N_DENSER)
     return np.concatenate([pool.x[found], wide.x[rest]])
+
+
+def _next_to(
+    problem: Problem, belief: Belief, failed: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Situations (n, d) next to those that `failed`: alone, none of them says that all there fail.
+
+    (The interval counts as crashes what lies where several failed runs are the nearest.)
+    """
+    pool, z = _wide(problem, belief.labels, rng), belief.standardise
+    places = z(belief.labels.coordinates(failed))
+    return np.asarray(pool.x[np.unique(cKDTree(z(pool.u)).query(places, k=N_NEXT)[1])])
 
 
 def supposed(

@@ -103,9 +103,11 @@ class TrafficRange:
         """What the range means, before its numbers: a reader in a hurry stops there."""
         if not self.undetermined:
             return ""
-        low, middle, high = np.quantile(self._logs, QUANTILES)
-        # one member may be anywhere
-        factor = math.exp(min(max(high - middle, middle - low), 3 * self.log_deviation))
+        low, middle, high = self.quantiles
+        told = [high / middle, middle / low] if low > 0 else [high / middle] if middle > 0 else []
+        low, middle, high = np.exp(np.quantile(self._logs, QUANTILES))
+        factor = max(*told, high / middle, middle / low)
+        factor = min(factor, math.exp(3 * self.log_deviation))  # one member may be anywhere
         return (
             "the recordings do not determine this number better than a factor "
             f"{factor:.0f} either way: "

@@ -52,22 +52,13 @@ def _by_draws(problem: Problem, state: State, c: Combined, outer: float) -> Trus
     unsettled = c.half_width > LOOSE * c.estimate or _swings(state.rounds)
     if not (few or unsettled):
         return Trust()
-    limit = allowed(problem, state, outer)
-    return Trust(limit, few, unsettled) if limit > c.upper else Trust()
-
-
-def allowed(problem: Problem, state: State, outer: float) -> float:
-    """Upper end that the draws and the encounters leave, whatever the surrogate holds.
-
-    And the order, by which it is at most `outer`.
-    """
-    limit = upper_end([r.hits for r in counted(state.rounds)], problem.confidence)
+    limit = upper_end([r.hits for r in rounds], problem.confidence)
     if state.ordered and not state.labels.contradictions:
         limit = min(limit, outer)
     if state.encounters is not None:
         narrower = 1 - (1 - problem.confidence) / ENCOUNTERS_TAIL
         limit = min(limit, state.encounters.interval(narrower)[1])
-    return limit
+    return Trust(limit, few, unsettled) if limit > c.upper else Trust()
 
 
 def _swings(rounds: Sequence[Round]) -> bool:

@@ -231,10 +231,11 @@ class View:
         By the square of the ratio of densities: under normal traffic what is denser, and what is
         less dense, then weigh about the same.
         """
-        crashing = self.pool.log_f[self.surrogate_h > OBJECTION]
+        log_f = self.pool.log_f
+        crashing = log_f[(self.surrogate_h > OBJECTION) & np.isfinite(log_f)]
         if not len(crashing):
             return self.weights
-        denser = np.maximum(self.pool.log_f - crashing.max(), 0.0)
+        denser = np.maximum(log_f - crashing.max(), 0.0)
         return np.asarray(self.weights * np.exp(-2 * denser))
 
     @cached_property
