@@ -114,9 +114,8 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
     """What an ended budget leaves; the last outcomes have their say."""
     if view is not None:
         surrogate, model = _fit(state)
-        view = _again(
-            state, view
-        )  # what was held of the last pool before may have been the mistake
+        # what was held of the last pool before may have been the mistake
+        view = _again(state, view)
         snapshot = answer(problem, _reconsidered(state, surrogate, model), view)
         if state.voided and not state.rounds:
             voided = replace(state, rounds=state.voided)
