@@ -24,6 +24,7 @@ from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
 from crashrate.estimation.trust import Trust, trust
 from crashrate.estimation.view import View
+from crashrate.estimation.within_unit import within_unit
 
 SCATTER_LIMIT = 3.0
 
@@ -65,9 +66,9 @@ def _with_failing(c: Combined, view: View) -> tuple[float, float]:
     Earlier rounds took some of it for safe: it was not known that runs fail there.
     """
     failing = np.where(view.failing, view.weights, 0.0)
-    most, least = float(failing @ (1 - view.h)), float(failing @ view.h)
-    lower = max(min(c.lower, c.estimate - least - c.half_width), 0.0)
-    return lower, min(max(c.upper, c.estimate + most + c.half_width), 1.0)
+    least, most = c.estimate - float(failing @ view.h), c.estimate + float(failing @ (1 - view.h))
+    found = within_unit(c.estimate, c.half_width, least, most)
+    return min(c.lower, found.lower), max(c.upper, found.upper)
 
 
 def first_idea(problem: Problem, state: State, view: View) -> Snapshot:

@@ -86,7 +86,7 @@ def sequential(problem: Problem) -> Learner:
             if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
                 state = yield from _survey(problem, state, snapshot, *fitted)
                 # where runs fail is known from the last ones too
-                view = view if state.labels.known.all() else _again(state, view)
+                view = view if state.labels.known.all() else _again(state, view, *_fit(state))
                 snapshot = answer(problem, state, view)
                 if snapshot.stop_reason is StopReason.RUNNING and state.n_surveys < MAX_SURVEYS:
                     state = replace(state, surveyed_for=math.inf)
@@ -115,7 +115,7 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
     if view is not None:
         surrogate, model = _fit(state)
         # what was held of the last pool before may have been the mistake
-        view = _again(state, view)
+        view = _again(state, view, surrogate, model)
         snapshot = answer(problem, _reconsidered(state, surrogate, model), view)
         if state.voided and not state.rounds:
             voided = replace(state, rounds=state.voided)
@@ -125,9 +125,8 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
     return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
 
 
-def _again(state: State, view: View) -> View:
+def _again(state: State, view: View, surrogate: Surrogate, model: Model) -> View:
     """The pool as it is seen now."""
-    surrogate, model = _fit(state)
     return see(view.pool, state.labels, surrogate, model.standardise)
 
 
