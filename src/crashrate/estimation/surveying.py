@@ -39,7 +39,7 @@ from crashrate.variables import FloatArray
 
 # Without an order: runs before anything is estimated; and in the last look, where crashes would be
 # about as likely as known ones, beside those, and where they would be likelier.
-N_FIRST, N_ALIKE, N_BESIDE, N_DENSER = 20, 4, 4, 3
+N_FIRST, N_ALIKE, N_BESIDE, N_DENSER = 20, 4, 5, 3
 N_AGAIN = 10  # the same in more than a few coordinates, where no more than emptiness was measured
 N_NEXT = 2  # next to each of those that failed
 # In log density, for each variable below and in all above the likeliest crash: about as likely.
