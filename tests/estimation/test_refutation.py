@@ -53,8 +53,8 @@ def test_the_deeper_the_contradictions_the_less_stands(rippled, depths_a_unit, e
     assert verdict(rippled.without_order(), unit) is Verdict.STANDS
 
 
-def test_the_order_falls_by_the_unit_not_by_the_surrogates_scale(rippled):
-    stands, falls = (_distrust(state_of(rippled, s), None) for s in (WIDE, NARROW))
+def test_the_order_falls_by_the_unit_not_by_the_surrogates_scale(problem, rippled):
+    stands, falls = (_distrust(problem, state_of(rippled, s), None) for s in (WIDE, NARROW))
     assert stands.ordered
     assert not falls.ordered
     assert falls.dropped_at == rippled.n

@@ -48,6 +48,10 @@ class Alarm(StrEnum):
         "the declared risk order was dropped: its most dangerous situations were safe, or too many "
         "outcomes contradict it; the estimate trusts no outcome that it implies"
     )
+    LEFT_OUT_MATTERS = (
+        "a variable that no risk coordinate depends on may decide outcomes after all: declare it "
+        "too, or no order; here the order was dropped, and all variables are looked at instead"
+    )
     NEARLY_ALL_CRASH = (
         "nearly every ordinary encounter would crash: check that the simulator returns true for a "
         "crash, and takes the columns in their order and units"

@@ -146,6 +146,7 @@ def doubts(
     trusted = Trust() if c is None else trust(problem, state, c, bounds[1])
     raised = {
         Alarm.ORDER_DROPPED: state.dropped_at is not None,
+        Alarm.LEFT_OUT_MATTERS: problem.order is not None and state.labels.order is None,
         Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
         Alarm.NO_ORDER: problem.order is None or not state.ordered,
         Alarm.ENCOUNTERS_DISAGREE: trusted.outvoted,

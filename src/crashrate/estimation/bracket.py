@@ -22,6 +22,7 @@ from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.gap import Gap, aim_at_gap, candidates, closest, look
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
+from crashrate.estimation.leaving_out import check_left_out
 from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.strategy import Problem, Query, Snapshot
@@ -73,7 +74,7 @@ def bracket(problem: Problem) -> Bracketing:
     """Run it; see the module. The problem has an order."""
     explored = yield from _explore(problem)
     if explored is None:
-        return _dropped()
+        return _dropped(Labels.empty(problem))
     if not explored.found:
         found = yield from crude(problem, explored.labels)
         if isinstance(found, Snapshot):
@@ -85,7 +86,7 @@ def bracket(problem: Problem) -> Bracketing:
         state = yield from _close(problem, replace(state, over=reason))
         state = yield from _audit(problem, state)
         if _refuted(state):
-            return _dropped()
+            return _dropped(state.labels)
         reason = _reason(problem, state)
     return _end(problem, state, reason)
 
@@ -215,12 +216,16 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
     """Audit the order with a tenth of the runs, those before and these."""
     labels, n = state.labels, state.labels.n
     share = max(round(n * AUDITED / (1 - AUDITED)), 1)
-    n_runs = min(MAX_AUDITS, share, problem.budget_at(n) - n)
-    if _refuted(state) or n_runs < 1 or state.audited_at == state.k:
+    room = problem.budget_at(n) - n
+    if _refuted(state) or room < 1 or state.audited_at == state.k:
         return state
     rng = problem.rng(AUDITS + state.k)
     snapshot = replace(_standing(labels, _bounds(problem, state)), phase="audit")
     scale = state.model.standardise.unit
+    labels = yield from check_left_out(problem, labels, scale, rng, snapshot)
+    n_runs = min(MAX_AUDITS, share, room - (labels.n - n))
+    if labels.learned is None or n_runs < 1:
+        return replace(state, labels=labels)
     labels, audit = yield from audit_order(
         problem, state.proposal, labels, scale, n_runs, rng=rng, snapshot=snapshot
     )
@@ -229,12 +234,15 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
 
 def _refuted(state: State) -> bool:
     """Whether the outcomes contradict the order as much as makes an estimate drop it."""
+    if state.labels.learned is None:
+        return True
     return verdict(state.labels, state.model.standardise.unit) is not Verdict.STANDS
 
 
-def _dropped() -> Snapshot:
+def _dropped(labels: Labels) -> Snapshot:
+    left_out = () if labels.order is not None else (Alarm.LEFT_OUT_MATTERS,)
     return Snapshot(
-        alarms=(Alarm.ORDER_DROPPED, Alarm.NO_ORDER),
+        alarms=(Alarm.ORDER_DROPPED, *left_out, Alarm.NO_ORDER),
         phase="close",
         stop_reason=StopReason.ORDER_DROPPED,
     )

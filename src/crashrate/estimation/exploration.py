@@ -106,7 +106,9 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
         if (labels.y == 1).any():
             labels = yield from probe(problem, labels, pool)
         elif (labels.y == 0).any():
-            labels = labels.without_order()  # the most dangerous situations are safe: not believed
+            labels = _given_up(
+                problem, labels
+            )  # the most dangerous situations are safe: not believed
     if not (labels.y == 1).any():
         wide = inflated(problem.traffic, factors(INFLATION))
         before = labels.n
@@ -116,6 +118,11 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
         labels = yield from _search_lines(problem, labels, ordinary[:n_lines])
     labels, u = yield from _check_ordinary(problem, labels, ordinary)
     return Explored(labels, wide, u, n_filling)
+
+
+def _given_up(problem: Problem, labels: Labels) -> Labels:
+    """Without the order, which may be wrong in what it leaves out."""
+    return labels.by_variables() if problem.left_out else labels.without_order()
 
 
 def factors(inflation: float) -> tuple[float, ...]:

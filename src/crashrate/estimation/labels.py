@@ -84,6 +84,10 @@ class Labels:
         """The same outcomes, implying nothing about other situations."""
         return replace(self, learned=None)
 
+    def by_variables(self) -> Self:
+        """The same outcomes by the variables themselves: an order leaves out what matters."""
+        return replace(self, order=None, u=self.x, learned=None)
+
     @property
     def n(self) -> int:
         """Simulator runs so far."""

@@ -27,6 +27,7 @@ from crashrate.estimation.following import look_closer
 from crashrate.estimation.hindsight import design, reconsider
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
+from crashrate.estimation.leaving_out import check_left_out
 from crashrate.estimation.probing import ask, vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import Round, measure
@@ -48,7 +49,7 @@ from crashrate.variables import FloatArray
 
 # random streams beside those of the rounds
 BEGINNING, ENCOUNTERS, SURVEYS, MORE = 2_000_000, 2_000_001, 2_000_002, 3_000_000
-FOLLOWING = 4_000_000
+FOLLOWING, LEFT_OUT = 4_000_000, 5_000_000
 N_LINES = 2  # two more than variables taught less of the edge than the rounds they would pay for
 N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
@@ -77,14 +78,14 @@ def sequential(problem: Problem) -> Learner:
         state, view = yield from _round(problem, state, snapshot)
         rng = problem.rng(FOLLOWING + state.k)
         closer = yield from look_closer(problem, state, view, snapshot, rng)
-        state = state if closer is state else _distrust(closer, view)
+        state = state if closer is state else _distrust(problem, closer, view)
         snapshot = answer(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING:  # the last outcomes have their say first
             fitted = _fit(state)
             state = _reconsidered(state, *fitted)
             snapshot = answer(problem, state, view)
             if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
-                state = yield from _survey(problem, state, snapshot, *fitted)
+                state = yield from _last_look(problem, state, snapshot, *fitted)
                 # where runs fail is known from the last ones too
                 view = view if state.labels.known.all() else _again(state, view, *_fit(state))
                 snapshot = answer(problem, state, view)
@@ -128,6 +129,35 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
 def _again(state: State, view: View, surrogate: Surrogate, model: Model) -> View:
     """The pool as it is seen now."""
     return see(view.pool, state.labels, surrogate, model.standardise)
+
+
+def _last_look(
+    problem: Problem, state: State, snapshot: Snapshot, surrogate: Surrogate, model: Model
+) -> Generator[Query, FloatArray, State]:
+    """Look once more before the answer stands: first at what the order leaves out."""
+    running = replace(snapshot, stop_reason=StopReason.RUNNING)
+    tested = yield from _left_out(problem, state, running)
+    if tested.labels.order is not state.labels.order:
+        return tested
+    state = tested
+    return (yield from _survey(problem, state, snapshot, surrogate, model))
+
+
+def _left_out(
+    problem: Problem, state: State, snapshot: Snapshot
+) -> Generator[Query, FloatArray, State]:
+    """See whether a variable that the order leaves out matters; it takes its place if so."""
+    unit, rng = state.model.standardise.unit, problem.rng(LEFT_OUT + state.k)
+    labels = yield from check_left_out(problem, state.labels, unit, rng, snapshot)
+    if labels.order is not state.labels.order:
+        return _by_variables(problem, state, labels)
+    return replace(state, labels=labels)
+
+
+def _by_variables(problem: Problem, state: State, labels: Labels) -> State:
+    """Begun anew: the outcomes by variables, without an order."""
+    begun = _begun(problem, labels, labels.x[:0], state.proposal, problem.rng(BEGINNING))
+    return replace(begun, k=state.k, n_surveys=state.n_surveys, followed=state.followed)
 
 
 def _survey(
@@ -181,16 +211,26 @@ def _directed(problem: Problem, state: State, snapshot: Snapshot) -> State:
 
 
 def _begin(problem: Problem, explored: Explored) -> State:
-    labels, rng = explored.labels, problem.rng(BEGINNING)
+    rng = problem.rng(BEGINNING)
     ordinary = explored.most_dangerous(rng)
-    reach = labels.coordinates(_inside(problem, explored, rng))
+    return _begun(problem, explored.labels, ordinary, explored.wide, rng)
+
+
+def _begun(
+    problem: Problem,
+    labels: Labels,
+    ordinary: FloatArray,
+    wide: Density,
+    rng: np.random.Generator,
+) -> State:
+    reach = labels.coordinates(_inside(problem, wide, rng))
     standardise = Standardiser.weighted(reach, np.full(len(reach), 1 / len(reach)))
     directed = labels.learned is not None
     dropped = problem.order is not None and not directed
     return State(
         labels,
         ordinary,
-        explored.wide,
+        wide,
         Model(standardise),
         directed=directed,
         dropped_at=labels.n if dropped else None,
@@ -198,8 +238,8 @@ def _begin(problem: Problem, explored: Explored) -> State:
     )
 
 
-def _inside(problem: Problem, explored: Explored, rng: np.random.Generator) -> FloatArray:
-    x = explored.wide.sample(N_POOL, rng)
+def _inside(problem: Problem, wide: Density, rng: np.random.Generator) -> FloatArray:
+    x = wide.sample(N_POOL, rng)
     return np.asarray(x[problem.traffic.contains(x)])
 
 
@@ -239,7 +279,7 @@ def _round(
         k=state.k + 1,
         learning=learning,
     )
-    return _distrust(state, view), view
+    return _distrust(problem, state, view), view
 
 
 def _audits(
@@ -315,9 +355,11 @@ def _reconsidered(state: State, surrogate: Surrogate, model: Model) -> State:
     )
 
 
-def _distrust(state: State, view: View) -> State:
+def _distrust(problem: Problem, state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
     found = verdict(state.labels, state.model.standardise.unit)
+    if found is not Verdict.STANDS and problem.left_out:  # they may be what it fails by
+        return _by_variables(problem, state, state.labels.by_variables())
     if found is not Verdict.STANDS:
         return replace(
             state,

@@ -8,6 +8,7 @@ so that a campaign is a function of (configuration, seed, outcomes) and resume i
 import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
+from functools import cached_property
 from numbers import Integral, Real
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,7 @@ NUMBERS = {
     "batch_size": Integral,
     "seed": Integral,
 }
+N_TRIED = 256  # situations that tell which variables an order leaves out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +105,13 @@ class Problem:
     def aim_index(self) -> int | None:
         """Place of `aim` among the consequences."""
         return None if self.aim is None else self.consequences.index(self.aim)
+
+    @cached_property
+    def left_out(self) -> tuple[int, ...]:
+        """Variables on which no risk coordinate depends: the order claims that nothing does."""
+        if self.order is None:
+            return ()
+        return self.order.left_out(self.traffic.sample(N_TRIED, np.random.default_rng(0)))
 
     def target_at(self, n_calls: int) -> float:
         """The relative half-width that is aimed at after so many simulator runs."""

@@ -24,6 +24,7 @@ from crashrate.estimation.belief import Belief
 from crashrate.estimation.contesting import SURE, contested
 from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
 from crashrate.estimation.labels import Labels
+from crashrate.estimation.local_units import farthest_locally
 from crashrate.estimation.probing import (
     RARE_MASS,
     ask,
@@ -39,11 +40,13 @@ from crashrate.variables import FloatArray
 
 # Without an order: runs before anything is estimated; and in the last look, where crashes would be
 # about as likely as known ones, beside those, and where they would be likelier.
-N_FIRST, N_ALIKE, N_BESIDE, N_DENSER = 20, 4, 5, 3
+N_FIRST, N_ALIKE, N_BESIDE, N_DENSER = 14, 4, 5, 6
+N_DENSER_FIRST = 21
 N_AGAIN = 10  # the same in more than a few coordinates, where no more than emptiness was measured
 N_NEXT = 2  # next to each of those that failed
-# In log density, for each variable below and in all above the likeliest crash: about as likely.
-BELOW, ABOVE = 1.0, 0.5
+# In log density, for each variable below (at least so much in all) and in all above the likeliest
+# crash: about as likely.
+BELOW, LEAST_BELOW, ABOVE = 1.0, 2.0, 0.5
 MAX_SURVEYS = 6
 SURPRISE = 0.5  # a crash less likely than this was not expected
 # With an order: runs for each coordinate (one in few coordinates), of those where the surrogate is
@@ -83,6 +86,7 @@ def first_survey(
 ) -> Generator[Query, FloatArray, Labels]:
     """Look at the emptiest places before anything is estimated, unless `n_before` runs did."""
     x = emptiest(problem, labels, max(N_FIRST - n_before, 0), rng)
+    x = np.concatenate([x, _denser(problem, labels, x, N_DENSER_FIRST, rng)])
     return (yield from ask(problem, labels, x))
 
 
@@ -153,17 +157,27 @@ def _unseen(problem: Problem, belief: Belief, rng: np.random.Generator) -> Float
     labels, z = belief.labels, belief.standardise
     pool = draw_pool(belief.proposal, problem.traffic, labels.coordinates, N_POOL, rng)
     view, known = see(pool, labels, belief.surrogate, z), likeliest(problem, labels)
-    alike = (pool.log_f > known - BELOW * pool.x.shape[1]) & (pool.log_f < known + ABOVE)
+    below = max(BELOW * pool.x.shape[1], LEAST_BELOW)
+    alike = (pool.log_f > known - below) & (pool.log_f < known + ABOVE)
     rows = np.flatnonzero(alike & (view.surrogate_h < SURE) & ~view.failing)
     places, runs = z(pool.u), z(labels.u)
     far = farthest_as_scaled(places, runs, rows, N_ALIKE)
     runs, worth = np.concatenate([runs, places[far]]), beside(belief.proposal, pool)
     near = farthest_as_scaled(places, runs, rows, N_BESIDE, worth)
     found = np.concatenate([far, near])
+    x = pool.x[found]
+    return np.concatenate([x, _denser(problem, labels, x, N_DENSER, rng)])
+
+
+def _denser(
+    problem: Problem, labels: Labels, chosen: FloatArray, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Situations (n, d) denser than the likeliest crash, far from all runs and those `chosen`."""
     wide = _wide(problem, labels, rng)
-    seen = np.concatenate([labels.u, pool.u[found]])
-    rest = farthest(wide.u, seen, np.flatnonzero(wide.log_f >= known + ABOVE), N_DENSER)
-    return np.concatenate([pool.x[found], wide.x[rest]])
+    rows = np.flatnonzero(wide.log_f >= likeliest(problem, labels) + ABOVE)
+    runs = np.concatenate([labels.x, chosen])
+    found = farthest_locally(problem.traffic, wide.x[rows], runs, wide.log_f[rows], n)
+    return np.asarray(wide.x[rows[found]])
 
 
 def _next_to(
