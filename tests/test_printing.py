@@ -171,6 +171,11 @@ def test_what_nobody_checked_is_noted(capsys, changes, note):
     assert note in shown_result(capsys, **changes).err
 
 
+def test_of_a_method_that_leaves_members_out_it_is_not_said_that_there_are_none(capsys):
+    traffic = {"n_members": 0, "events": {"n": 5000}}
+    assert "one fit" not in shown_result(capsys, traffic=traffic, method="crude").err
+
+
 def test_without_a_replay_the_order_stands_for_plain_traffic(capsys):
     unchecked = {"recordings": {"unchecked": "it comes without events"}}
     dropped = {"alarms": [{"name": Alarm.ORDER_DROPPED.name, "message": "dropped"}]}

@@ -4,7 +4,7 @@ A table (n, 1 + K): the event (1, 0, or NaN where the simulation failed), then K
 numbers in [0, 1] that are 0 where the event did not happen.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -24,7 +24,8 @@ def consequence_names(names: Sequence[str]) -> tuple[str, ...]:
     InvalidInputError
         If they are not different texts.
     """
-    if isinstance(names, str) or not all(isinstance(n, str) and n.strip() for n in names):
+    several = isinstance(names, Iterable) and not isinstance(names, str)
+    if not several or not all(isinstance(n, str) and n.strip() for n in names):
         raise InvalidInputError(
             f"consequences: expected names, such as ('injury',), got {names!r}."
         )
@@ -71,7 +72,9 @@ def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
     bad = np.flatnonzero(~(np.isnan(y) | (y == 0) | (y == 1)))
     if len(bad):
         raise InvalidInputError(
-            f"tell: expected True, False or NaN (failed), got {y[bad[0]]} at row {bad[0]}."
+            f"tell: expected True, False or NaN (failed), got {y[bad[0]]} at row {bad[0]}; where "
+            "the simulator gives a probability draw the outcome by it, where it gives a margin "
+            "compare that with its limit."
         )
     return y[:, None]
 

@@ -72,6 +72,11 @@ def test_shapes_are_checked(order):
         ({"c": (lambda x: x[:, 0], "up")}, r"risk\['c'\]: expected 'increasing'"),
         ({"c": lambda x: x[:, 0]}, r"\(function, direction\)"),
         ({"c": ("inv_ttc", "increasing")}, r"\(function, direction\)"),
+        ({"v_lead": None}, "got None. A variable left out is claimed not to matter"),
+        (
+            {"c": (Expression("v_lead", ("inv_ttc", "v_lead", "inv_range")), "increasing")},
+            r"risk\['c'\]: expected an Expression of the traffic model's variables, in their order",
+        ),
     ],
 )
 def test_bad_declarations_are_refused(risk, message):

@@ -230,6 +230,7 @@ def test_outcomes_and_consequences_of_a_campaign(campaign):
         ({"method": "cross-entropy"}, "the method 'cross-entropy'"),
         ({"goal": "bounds"}, "the goal 'bounds'"),
         ({"consequences": "injury"}, "expected names"),
+        ({"consequences": None}, "expected names.*got None"),
     ],
 )
 def test_what_cannot_be_is_refused(campaign, options, says):

@@ -7,9 +7,9 @@ from scipy.stats import norm
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import NumericalError
 from crashrate.estimation import exact_bounds as module
-from crashrate.estimation.exact_bounds import exact_bounds
+from crashrate.estimation.exact_bounds import exact_bounds, within
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.strategy import Problem
+from crashrate.estimation.strategy import Problem, Snapshot
 
 
 def told(cases, d=2):
@@ -42,3 +42,34 @@ def test_a_box_that_does_not_settle_leaves_bounds_from_draws(cases, monkeypatch,
     assert drawn.bounds == pytest.approx(exact.bounds, rel=0.6)
     assert drawn.bounds != exact.bounds
     assert drawn.bounds[0] <= case.probability <= drawn.bounds[1]
+
+
+@pytest.mark.parametrize(
+    ("probability", "interval", "expected"),
+    [
+        (2.0, (1.8, 2.2), (2.0, (1.8, 2.2))),  # inside: as it is
+        (1.8, (1.7, 1.95), (1.9, (1.7, 1.95))),  # beside, the interval reaches in
+        (1.8, (1.7, 1.85), (1.9, (1.7, 2.1))),  # the interval lies beside too: as wide as both
+        (2.3, (2.05, 2.5), (2.1, (2.05, 2.5))),
+        (2.3, (2.2, 2.5), (2.1, (1.9, 2.5))),
+    ],
+)
+def test_an_estimate_beside_them_is_moved_in_and_no_interval_shrinks(
+    probability, interval, expected
+):
+    told = within(Snapshot(probability=probability, interval=interval), (1.9, 2.1))
+    assert (told.probability, told.interval) == expected
+
+
+def test_no_estimate_is_moved_nowhere():
+    told = within(Snapshot(), (1.9, 2.1))
+    assert np.isnan(told.probability)
+    assert told.interval == (0.0, 1.0)
+
+
+def test_in_one_variable_estimates_lie_within_their_bounds(cases):
+    """They are so close that draws fall beside them."""
+    for seed in range(5):
+        study = cases.tail(1e-6).estimate(seed=seed, relative_half_width=0.2)
+        assert study.bounds[0] <= study.probability <= study.bounds[1]
+        assert study.interval[0] <= 1e-6 <= study.interval[1]

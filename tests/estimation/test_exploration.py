@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from crashrate.crash_set.order import RiskOrder
+from crashrate.errors import InvalidInputError
 from crashrate.estimation.exploration import (
     MAX_INFLATIONS,
     RUNS_PER_LINE,
@@ -167,3 +168,15 @@ def test_inflated_is_no_wider_than_half_the_box():
     traffic = TrafficModel([1.0], [[0.5]], [[[100.0]]], [0.0], [1.0], ("a",))
     got = inflated(traffic, (1.0, 4.0))
     assert np.allclose(np.sqrt(got.covariances.ravel()), 0.5)
+
+
+def test_a_coordinate_of_wildly_uneven_values_is_refused_before_any_run(cases):
+    def wild(x):
+        return np.exp(8 * x[:, 0])
+
+    risk = {"wild": (wild, "increasing"), "b": "increasing"}
+    with pytest.raises(InvalidInputError, match=r"'wild': expected .* such as its logarithm"):
+        cases.half_plane(1e-6).campaign(risk=risk).ask()
+    tame = {"tame": (lambda x: np.exp(x[:, 0]), "increasing"), "b": "increasing"}
+    study = cases.half_plane(1e-4).estimate(risk=tame, relative_half_width=0.3)
+    assert study.interval[0] <= 1e-4 <= study.interval[1]

@@ -42,8 +42,7 @@ def test_both_sides_are_found(cases, check_coverage):
 
 
 def test_without_surveys_one_side_is_lost(cases, monkeypatch):
-    monkeypatch.setattr(surveying, "N_FIRST", 0)
-    for name in ("N_ALIKE", "N_BESIDE", "N_DENSER"):
+    for name in ("N_FIRST", "N_DENSER_FIRST", "N_ALIKE", "N_BESIDE", "N_DENSER"):
         monkeypatch.setattr(surveying, name, 0)
     ratios = [found(cases, seed).probability / P for seed in range(4)]
     assert min(ratios) < 0.7
@@ -52,6 +51,7 @@ def test_without_surveys_one_side_is_lost(cases, monkeypatch):
 def test_a_surprise_voids_what_was_estimated_and_a_clean_look_ends_it(cases, monkeypatch):
     """The first survey left out: the look at the end has to find the other side."""
     monkeypatch.setattr(surveying, "N_FIRST", 0)
+    monkeypatch.setattr(surveying, "N_DENSER_FIRST", 0)
     looks = []
     look = surveying.survey
 

@@ -95,8 +95,8 @@ def test_quantiles_and_spread():
     wide = TrafficRange(tuple(p**2 * 1e6), tuple(0.1 * p**2 * 1e6))
     assert wide.undetermined
     assert wide.sentence().startswith(
-        "traffic models: the recordings do not determine this number better than a factor 6 either "
-        "way: 21 fits to the recordings give "
+        "traffic models: the recordings do not determine this probability better than a factor 6 "
+        "either way: 21 fits to the recordings give "
     )
 
 
@@ -144,6 +144,12 @@ def test_the_factor_is_that_of_the_members_that_say_something():
     above = (1e-5, 8e-6, 1e-5)
     got = TrafficRange((1e-7, 1.2e-7, 8e-7, 9e-7, *above), (1e-8, 1e-8, 1e-8, 1e-8, *above))
     assert "better than a factor 11 either way" in got.sentence()
+
+
+def test_bounds_say_that_they_are_of_the_members_average():
+    risk = {"a": "increasing", "b": "increasing"}
+    with pytest.warns(UserWarning, match="'bounds' answers for the average of the .* 4 members"):
+        Campaign(family(None), risk=risk, goal="bounds")
 
 
 @pytest.mark.parametrize("method", ["huang2017", "crude", "cross-entropy"])

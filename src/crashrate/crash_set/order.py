@@ -83,7 +83,8 @@ class RiskOrder:
             A variable's name to ``"increasing"`` or ``"decreasing"`` (a larger value is riskier,
             or safer), or the name of a derived quantity to ``(function, direction)``, the
             function taking rows (n, d) of the variables: any callable, or an `Expression`, whose
-            level sets the dominating points can use exactly.
+            level sets the dominating points can use exactly. A variable that no coordinate depends
+            on is claimed not to matter.
         names : sequence of str, length d
             The traffic model's variables, in order.
 
@@ -233,9 +234,19 @@ def _coordinate(name: str, entry: Any, variables: tuple[str, ...]) -> RiskCoordi
                 "a derived quantity is given as (function, direction)."
             )
         return RiskCoordinate(name, Direction.parse(entry, where), index=variables.index(name))
+    if entry is None:
+        raise InvalidInputError(
+            f"{where}: expected 'increasing', 'decreasing' or (function, direction), got None. A "
+            "variable left out is claimed not to matter; risk=None as a whole claims nothing."
+        )
     if not (isinstance(entry, tuple) and len(entry) == 2 and callable(entry[0])):
         raise InvalidInputError(
             f"{where}: expected 'increasing', 'decreasing' or (function, direction), got {entry!r}."
         )
     function, direction = entry
+    if isinstance(function, Expression) and function.names != variables:
+        raise InvalidInputError(
+            f"{where}: expected an Expression of the traffic model's variables, in their order, "
+            f"{variables}, got one of {function.names}."
+        )
     return RiskCoordinate(name, Direction.parse(direction, where), function=function)

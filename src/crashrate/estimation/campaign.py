@@ -110,7 +110,7 @@ class Campaign:
         order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
         self._traffic, self._order = traffic, order
         # methods work where the components are normal; situations come out in the variables' units
-        modelled = traffic.modelled if method in TELL_MEMBERS else _best_fit(traffic, method)
+        modelled = _asked_of(traffic, method, goal)
         self._problem = Problem(
             traffic=modelled.average,
             ensemble=modelled if modelled.members else None,
@@ -329,9 +329,17 @@ class Campaign:
         return HistoryPoint(self.n_calls, s.probability, *s.interval, s.phase)
 
 
-def _best_fit(traffic: TrafficModel, method: str) -> TrafficModel:
-    """The law of z without members; a warning where there are some."""
-    if not traffic.members:
+def _asked_of(traffic: TrafficModel, method: str, goal: str) -> TrafficModel:
+    """The law of z that is asked of; a warning where its members are not told of."""
+    if not traffic.members or (method in TELL_MEMBERS and goal == "probability"):
+        return traffic.modelled
+    if method in TELL_MEMBERS:
+        warnings.warn(
+            f"goal {goal!r} answers for the average of the traffic model's "
+            f"{len(traffic.members)} members alone: its bounds do not say how far the events "
+            "determine the probability; the goal 'probability' does.",
+            stacklevel=3,
+        )
         return traffic.modelled
     warnings.warn(
         f"method {method!r} answers for the best fit alone: the {len(traffic.members) - 1} "

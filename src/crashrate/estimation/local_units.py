@@ -19,9 +19,17 @@ DENSITY, UNWEIGHED = 0.25, 1 / 3
 
 
 def farthest_locally(
-    traffic: TrafficModel, x: FloatArray, runs: FloatArray, log_f: FloatArray, n: int
+    traffic: TrafficModel,
+    x: FloatArray,
+    runs: FloatArray,
+    log_f: FloatArray,
+    n: int,
+    *,
+    least: float = 0.0,
 ) -> IntArray:
     """`n` rows of `x` (N, d), each the farthest from the runs (k, d) and those chosen before it.
+
+    Fewer, once the next is no farther than `least`.
 
     Parameters
     ----------
@@ -30,6 +38,7 @@ def farthest_locally(
     log_f : ndarray, shape (N,)
         Log density of `x`.
     n : int
+    least : float
     """
     if not len(x):
         return np.empty(0, dtype=int)
@@ -42,7 +51,7 @@ def farthest_locally(
     worth = np.exp(DENSITY * (log_f - log_f.max()))
     for k in range(n):
         best = int((distance if k < UNWEIGHED * n else worth * distance).argmax())
-        if not distance[best] > 0:  # the others are known
+        if not distance[best] > least**2:
             break
         chosen.append(best)
         for rows, to_units in groups:

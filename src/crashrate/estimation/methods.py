@@ -61,13 +61,13 @@ def method_for(method: str, goal: str, *, ordered: bool) -> Method:
     InvalidInputError
         If one of them is unknown, or the goal is out of the method's or the order's reach.
     """
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise InvalidInputError(
-            f"method: expected a known one, got {method!r}{nearest(method, tuple(METHODS))}."
+            f"method: expected a known one, got {method!r}{nearest(str(method), tuple(METHODS))}."
         )
-    if goal not in GOALS:
+    if not isinstance(goal, str) or goal not in GOALS:
         raise InvalidInputError(
-            f"goal: expected a known one, got {goal!r}{nearest(goal, tuple(GOALS))}."
+            f"goal: expected a known one, got {goal!r}{nearest(str(goal), tuple(GOALS))}."
         )
     if method not in GOALS[goal]:
         raise InvalidInputError(

@@ -21,7 +21,7 @@ from crashrate.estimation.consequences import expect
 from crashrate.estimation.crude import crude
 from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
 from crashrate.estimation.encounters import Encounters, meet
-from crashrate.estimation.exact_bounds import exact_bounds
+from crashrate.estimation.exact_bounds import exact_bounds, within
 from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.following import look_closer
 from crashrate.estimation.hindsight import design, reconsider
@@ -106,9 +106,16 @@ def sequential(problem: Problem) -> Learner:
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     else:
         snapshot = _last_word(problem, state, view, snapshot)
+    return replace(_bounded(problem, state, snapshot), belief=_belief(state))
+
+
+def _bounded(problem: Problem, state: State, snapshot: Snapshot) -> Snapshot:
+    """With exact bounds, where they can be had."""
     exact = exact_bounds(problem, state.labels)
-    bounds = snapshot.bounds if exact is None else exact
-    return replace(snapshot, bounds=bounds, belief=_belief(state))
+    if exact is None:
+        return snapshot
+    told = snapshot if state.labels.contradictions else within(snapshot, exact)
+    return replace(told, bounds=exact)
 
 
 def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snapshot) -> Snapshot:

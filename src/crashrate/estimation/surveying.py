@@ -42,6 +42,8 @@ from crashrate.variables import FloatArray
 # about as likely as known ones, beside those, and where they would be likelier.
 N_FIRST, N_ALIKE, N_BESIDE, N_DENSER = 14, 4, 5, 6
 N_DENSER_FIRST = 21
+# Standard deviations of traffic that so many places, half as many again as a lattice, would fill.
+FILLED = 4.0
 N_AGAIN = 10  # the same in more than a few coordinates, where no more than emptiness was measured
 N_NEXT = 2  # next to each of those that failed
 # In log density, for each variable below (at least so much in all) and in all above the likeliest
@@ -86,7 +88,9 @@ def first_survey(
 ) -> Generator[Query, FloatArray, Labels]:
     """Look at the emptiest places before anything is estimated, unless `n_before` runs did."""
     x = emptiest(problem, labels, max(N_FIRST - n_before, 0), rng)
-    x = np.concatenate([x, _denser(problem, labels, x, N_DENSER_FIRST, rng)])
+    # a search may have filled that space before
+    least = FILLED * (1.5 / N_DENSER_FIRST) ** (1 / problem.traffic.n_variables)
+    x = np.concatenate([x, _denser(problem, labels, x, N_DENSER_FIRST, rng, least=least)])
     return (yield from ask(problem, labels, x))
 
 
@@ -170,14 +174,20 @@ def _unseen(problem: Problem, belief: Belief, rng: np.random.Generator) -> Float
 
 
 def _denser(
-    problem: Problem, labels: Labels, chosen: FloatArray, n: int, rng: np.random.Generator
+    problem: Problem,
+    labels: Labels,
+    chosen: FloatArray,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    least: float = 0.0,
 ) -> FloatArray:
     """Situations (n, d) denser than the likeliest crash, far from all runs and those `chosen`."""
     wide = _wide(problem, labels, rng)
     rows = np.flatnonzero(wide.log_f >= likeliest(problem, labels) + ABOVE)
     runs = np.concatenate([labels.x, chosen])
-    found = farthest_locally(problem.traffic, wide.x[rows], runs, wide.log_f[rows], n)
-    return np.asarray(wide.x[rows[found]])
+    x, log_f = wide.x[rows], wide.log_f[rows]
+    return np.asarray(x[farthest_locally(problem.traffic, x, runs, log_f, n, least=least)])
 
 
 def _next_to(

@@ -93,7 +93,7 @@ class TrafficRange:
         least, half = (f"{q:.1e}" if q > 0 else "not determined" for q in (low, middle))
         text = (
             f"{m} fits to the recordings give {least} … {half} … {high:.1e} (5, 50, 95 %), "
-            "whose mean is the number above"
+            "whose mean is the probability above"
         )
         if n := self.n_undetermined:
             text += f"; {n} of them {'is' if n == 1 else 'are'} not determined by the runs"
@@ -109,7 +109,7 @@ class TrafficRange:
         factor = max(*told, high / middle, middle / low)
         factor = min(factor, math.exp(3 * self.log_deviation))  # one member may be anywhere
         return (
-            "the recordings do not determine this number better than a factor "
+            "the recordings do not determine this probability better than a factor "
             f"{factor:.0f} either way: "
         )
 

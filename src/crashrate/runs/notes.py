@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from crashrate.estimation.alarms import Alarm
-from crashrate.estimation.methods import LEARNING
+from crashrate.estimation.methods import LEARNING, TELL_MEMBERS
 
 
 def notes(result: Mapping[str, Any]) -> tuple[str, ...]:
@@ -44,4 +44,5 @@ def _is_one_fit(result: Mapping[str, Any]) -> bool:
     """Whether the traffic model is the only one that was fitted to recorded events."""
     traffic = result.get("traffic") or {}
     fitted = bool((traffic.get("events") or {}).get("n")) and not result["synthetic"]
-    return fitted and not traffic.get("n_members")
+    told = result["method"] in TELL_MEMBERS  # the others leave out what members there are
+    return fitted and told and not traffic.get("n_members")

@@ -272,5 +272,5 @@ def require_aim(root: Table, target: Target, outcome: Outcome) -> None:
     if target.aim is not None and target.aim not in outcome.consequences:
         raise root.table("target").error(
             f"aim: expected one of the consequences under [outcome], got {target.aim!r}"
-            f"{nearest(target.aim, outcome.consequences)}"
+            f"{nearest(target.aim, outcome.consequences)}; leave it out to aim at the event"
         )

@@ -1,0 +1,138 @@
+"""A variable in no risk coordinate is claimed not to matter: the claim is tested."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from crashrate.crash_set.order import RiskOrder
+from crashrate.estimation import leaving_out
+from crashrate.estimation.alarms import Alarm, StopReason
+from crashrate.estimation.labels import Labels
+from crashrate.estimation.leaving_out import check_left_out
+from crashrate.estimation.run import estimate
+from crashrate.estimation.strategy import Problem, Snapshot
+from crashrate.expressions import Expression
+
+LEVEL, ALONE = 5.2, 3.6
+SEEN, UNSEEN = norm.sf(LEVEL / np.sqrt(2)), norm.sf(ALONE)
+P = SEEN + UNSEEN - SEEN * UNSEEN
+RISK = {"a": "increasing", "b": "increasing"}
+
+
+def by_two(x):
+    return x[:, 0] + x[:, 1] >= LEVEL
+
+
+def by_the_third_too(x):
+    return by_two(x) | (x[:, 2] >= ALONE)
+
+
+def found(cases, crash, seed, **options):
+    options = {"risk": RISK, "relative_half_width": 0.25, "max_calls": 500} | options
+    return estimate(crash, cases.standard_normal(3), seed=seed, **options)
+
+
+@pytest.mark.parametrize(
+    ("risk", "expected"),
+    [
+        (RISK, (2,)),
+        (RISK | {"c": "decreasing"}, ()),
+        ({"b": "increasing"}, (0, 2)),
+        ({"sum": (Expression("a + 2 * c", ("a", "b", "c")), "increasing")}, (1,)),
+        ({"sum": (lambda x: x[:, 0] * x[:, 1], "increasing")}, (2,)),
+        (None, ()),
+    ],
+)
+def test_what_no_coordinate_depends_on_is_left_out(cases, risk, expected):
+    traffic = cases.standard_normal(3)
+    order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
+    assert Problem(traffic=traffic, order=order).left_out == expected
+
+
+def test_a_variable_that_decides_outcomes_is_found_and_looked_at(cases, check_coverage):
+    studies = [found(cases, by_the_third_too, seed) for seed in range(3)]
+    check_coverage([s.interval for s in studies], P)
+    for study in studies:
+        assert study.stop_reason is StopReason.TARGET_MET
+        assert {Alarm.LEFT_OUT_MATTERS, Alarm.ORDER_DROPPED, Alarm.NO_ORDER} <= set(study.alarms)
+
+
+def test_unless_it_is_tested_half_the_probability_is_lost_without_a_word(cases, monkeypatch):
+    monkeypatch.setattr(leaving_out, "N_EACH", 0)
+    for seed in range(2):
+        study = found(cases, by_the_third_too, seed)
+        assert study.interval[1] < 0.6 * P
+        assert study.stop_reason is StopReason.TARGET_MET
+        assert not study.alarms
+
+
+def test_one_that_does_not_matter_costs_the_looks_and_no_order(cases):
+    study = found(cases, by_two, 0)
+    assert study.interval[0] <= SEEN <= study.interval[1]
+    assert not set(study.alarms) & {Alarm.LEFT_OUT_MATTERS, Alarm.ORDER_DROPPED}
+    assert study.n_calls < 120
+
+
+def test_one_that_adds_to_danger_costs_the_order_by_contradictions(cases):
+    p = norm.sf(7 / np.sqrt(3))
+    study = found(cases, lambda x: x.sum(axis=1) >= 7, 0)
+    assert study.interval[0] <= p <= study.interval[1]
+    assert study.stop_reason is StopReason.TARGET_MET
+    assert Alarm.LEFT_OUT_MATTERS in study.alarms
+
+
+def test_bounds_are_not_given_where_it_matters(cases):
+    study = found(cases, by_the_third_too, 1, goal="bounds", relative_half_width=0.3)
+    assert study.stop_reason is StopReason.ORDER_DROPPED
+    assert study.bounds == (0.0, 1.0)
+    assert Alarm.LEFT_OUT_MATTERS in study.alarms
+    kept = found(cases, by_two, 1, goal="bounds", relative_half_width=0.3)
+    assert kept.stop_reason is StopReason.TARGET_MET
+    assert kept.bounds[0] <= SEEN <= kept.bounds[1]
+
+
+@pytest.fixture
+def problem(cases):
+    traffic = cases.standard_normal(3)
+    return Problem(traffic=traffic, order=RiskOrder.from_mapping(RISK, traffic.names))
+
+
+@pytest.fixture
+def labels(problem):
+    """A crash, and safe runs along an edge below it."""
+    along = np.linspace(-2.0, 2.0, 9)
+    safe = np.stack([2 + along, 2 - along, 0 * along], axis=1)
+    crash = np.array([[2.7, 2.7, 0.0]])
+    return Labels.empty(problem).add(np.concatenate([crash, safe]), np.array([1.0] + [0.0] * 9))
+
+
+def looked(problem, labels, simulate, drive):
+    steps = check_left_out(problem, labels, np.ones(2), np.random.default_rng(0), Snapshot())
+    return drive(steps, lambda x: simulate(x).astype(float))
+
+
+def test_runs_are_safe_by_the_order_and_far_out(problem, labels, drive):
+    told, queries = looked(problem, labels, lambda x: np.zeros(len(x)), drive)
+    x = np.concatenate([query.x for query in queries])
+    assert told.order is problem.order
+    assert len(x) == 4 * leaving_out.N_EACH
+    assert labels.implied(labels.coordinates(x))[1].all()
+    assert np.count_nonzero(x[:, 2] > 0) == len(x) / 2
+    assert (np.abs(x[:, 2]) > 1.5).all()
+
+
+def test_a_crash_with_the_variable_as_usual_too_refutes_other_claims(problem, labels, drive):
+    told, queries = looked(problem, labels, lambda x: x[:, 0] > 1, drive)
+    assert told.learned is not None
+    assert told.contradictions > 0
+    asked = queries[-1].x
+    np.testing.assert_allclose(asked[:, 2], 0.0, atol=1e-12)
+    told, _ = looked(problem, labels, lambda x: (x[:, 0] > 1) & (x[:, 2] > 1), drive)
+    assert told.learned is None
+    assert told.order is None
+    np.testing.assert_array_equal(told.u, told.x)
+
+
+def test_failed_runs_refute_nothing(problem, labels, drive):
+    told, _ = looked(problem, labels, lambda x: np.full(len(x), np.nan), drive)
+    assert told.learned is not None
