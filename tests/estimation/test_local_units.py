@@ -65,6 +65,15 @@ def test_known_places_and_none_at_all(traffic):
     assert len(farthest_locally(traffic, x[:0], x, np.zeros(0), 2)) == 0
 
 
+def test_a_space_that_is_filled_needs_no_more(traffic):
+    line = np.linspace(-3.0, 3.0, 7)
+    grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    x = np.random.default_rng(2).uniform(-3, 3, (500, 2))
+    log_f = np.zeros(len(x))
+    assert len(farthest_locally(traffic, x, grid, log_f, 5, least=0.8)) == 0
+    assert len(farthest_locally(traffic, x, grid[:-6], log_f, 5, least=0.8)) == 5
+
+
 def test_a_half_plane_beside_a_tight_component_is_not_missed(traffic, monkeypatch):
     """It holds nine tenths of the probability."""
     options = {"relative_half_width": 0.25, "max_calls": 500, "seed": 0}

@@ -29,7 +29,7 @@ def farthest_locally(
 ) -> IntArray:
     """`n` rows of `x` (N, d), each the farthest from the runs (k, d) and those chosen before it.
 
-    Fewer, once the next is no farther than `least`.
+    Fewer, once none is farther than `least`.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def farthest_locally(
     worth = np.exp(DENSITY * (log_f - log_f.max()))
     for k in range(n):
         best = int((distance if k < UNWEIGHED * n else worth * distance).argmax())
-        if not distance[best] > least**2:
+        if not (distance.max() > least**2 and distance[best] > 0):
             break
         chosen.append(best)
         for rows, to_units in groups:

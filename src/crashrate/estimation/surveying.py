@@ -38,12 +38,13 @@ from crashrate.estimation.view import normalised, see
 from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.variables import FloatArray
 
-# Without an order: runs before anything is estimated; and in the last look, where crashes would be
-# about as likely as known ones, beside those, and where they would be likelier.
-N_FIRST, N_ALIKE, N_BESIDE, N_DENSER = 14, 4, 5, 6
-N_DENSER_FIRST = 21
-# Standard deviations of traffic that so many places, half as many again as a lattice, would fill.
-FILLED = 4.0
+# Without an order, before anything is estimated: runs in the emptiest places, and where a crash
+# would be likelier than known ones. So many, half as many again as a lattice has, would fill
+# traffic up to FILLED standard deviations.
+N_FIRST, N_DENSER_FIRST, FILLED = 14, 21, 4.0
+# In the last look: where crashes would be about as likely as known ones, beside those, and where
+# they would be likelier.
+N_ALIKE, N_BESIDE, N_DENSER = 4, 5, 6
 N_AGAIN = 10  # the same in more than a few coordinates, where no more than emptiness was measured
 N_NEXT = 2  # next to each of those that failed
 # In log density, for each variable below (at least so much in all) and in all above the likeliest
@@ -89,7 +90,7 @@ def first_survey(
     """Look at the emptiest places before anything is estimated, unless `n_before` runs did."""
     x = emptiest(problem, labels, max(N_FIRST - n_before, 0), rng)
     # a search may have filled that space before
-    least = FILLED * (1.5 / N_DENSER_FIRST) ** (1 / problem.traffic.n_variables)
+    least = FILLED * (1.5 / max(N_DENSER_FIRST, 1)) ** (1 / problem.traffic.n_variables)
     x = np.concatenate([x, _denser(problem, labels, x, N_DENSER_FIRST, rng, least=least)])
     return (yield from ask(problem, labels, x))
 
