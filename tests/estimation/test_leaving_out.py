@@ -1,5 +1,7 @@
 """A variable in no risk coordinate is claimed not to matter: the claim is tested."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -112,9 +114,10 @@ def looked(problem, labels, simulate, drive):
 
 
 def test_runs_are_safe_by_the_order_and_far_out(problem, labels, drive):
-    told, queries = looked(problem, labels, lambda x: np.zeros(len(x)), drive)
+    (told, whole), queries = looked(problem, labels, lambda x: np.zeros(len(x)), drive)
     x = np.concatenate([query.x for query in queries])
     assert told.order is problem.order
+    assert whole
     assert len(x) == 4 * leaving_out.N_EACH
     assert labels.implied(labels.coordinates(x))[1].all()
     assert np.count_nonzero(x[:, 2] > 0) == len(x) / 2
@@ -122,17 +125,54 @@ def test_runs_are_safe_by_the_order_and_far_out(problem, labels, drive):
 
 
 def test_a_crash_with_the_variable_as_usual_too_refutes_other_claims(problem, labels, drive):
-    told, queries = looked(problem, labels, lambda x: x[:, 0] > 1, drive)
+    (told, _), queries = looked(problem, labels, lambda x: x[:, 0] > 1, drive)
     assert told.learned is not None
     assert told.contradictions > 0
     asked = queries[-1].x
     np.testing.assert_allclose(asked[:, 2], 0.0, atol=1e-12)
-    told, _ = looked(problem, labels, lambda x: (x[:, 0] > 1) & (x[:, 2] > 1), drive)
+    (told, _), _ = looked(problem, labels, lambda x: (x[:, 0] > 1) & (x[:, 2] > 1), drive)
     assert told.learned is None
     assert told.order is None
     np.testing.assert_array_equal(told.u, told.x)
 
 
 def test_failed_runs_refute_nothing(problem, labels, drive):
-    told, _ = looked(problem, labels, lambda x: np.full(len(x), np.nan), drive)
+    (told, whole), _ = looked(problem, labels, lambda x: np.full(len(x), np.nan), drive)
     assert told.learned is not None
+    assert whole
+
+
+def test_a_failed_run_as_usual_clears_nothing(problem, labels, drive):
+    def simulate(x):
+        return np.where(np.abs(x[:, 2]) < 1e-9, np.nan, x[:, 2] > 1)
+
+    assert looked(problem, labels, simulate, drive)[0][0].order is None
+
+
+def test_what_the_budget_cuts_short_is_said(problem, labels, drive):
+    short = replace(problem, max_calls=labels.n + 5)
+    (told, whole), _ = looked(short, labels, lambda x: np.zeros(len(x)), drive)
+    assert told.n == labels.n + 5
+    assert not whole
+
+
+@pytest.mark.parametrize("risk", [RISK, {"a": "increasing"}])
+def test_an_order_given_up_among_failed_runs_or_at_the_end_leaves_an_answer(cases, risk):
+    """Coordinates change under a pool that was seen by others."""
+
+    def simulate(x):
+        return np.where(np.abs(x[:, 1] + 2) < 0.1, np.nan, by_the_third_too(x))
+
+    for max_calls in (60, 85, 100):
+        study = found(cases, simulate, 0, risk=risk, max_calls=max_calls)
+        assert study.n_calls == max_calls
+        unchecked = {Alarm.TARGET_UNCHECKED, Alarm.TARGET_NOT_REACHED} & set(study.alarms)
+        assert unchecked or study.interval[0] <= P <= study.interval[1]
+
+
+def test_a_target_whose_test_was_cut_short_is_not_met(cases):
+    whole = found(cases, by_two, 0)
+    assert whole.stop_reason is StopReason.TARGET_MET
+    cut = found(cases, by_two, 0, max_calls=whole.n_calls - 8)
+    assert cut.stop_reason is StopReason.BUDGET_ENDED
+    assert Alarm.TARGET_UNCHECKED in cut.alarms

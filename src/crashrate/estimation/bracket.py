@@ -22,7 +22,7 @@ from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
 from crashrate.estimation.gap import Gap, aim_at_gap, candidates, closest, look
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.leaving_out import check_left_out
+from crashrate.estimation.leaving_out import check_left_out, most_runs
 from crashrate.estimation.order_audit import OrderAudit
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.strategy import Problem, Query, Snapshot
@@ -74,7 +74,7 @@ def bracket(problem: Problem) -> Bracketing:
     """Run it; see the module. The problem has an order."""
     explored = yield from _explore(problem)
     if explored is None:
-        return _dropped(Labels.empty(problem))
+        return _dropped(problem)
     if not explored.found:
         found = yield from crude(problem, explored.labels)
         if isinstance(found, Snapshot):
@@ -86,7 +86,7 @@ def bracket(problem: Problem) -> Bracketing:
         state = yield from _close(problem, replace(state, over=reason))
         state = yield from _audit(problem, state)
         if _refuted(state):
-            return _dropped(state.labels)
+            return _dropped(problem)
         reason = _reason(problem, state)
     return _end(problem, state, reason)
 
@@ -133,7 +133,8 @@ def _close(problem: Problem, state: State) -> Generator[Query, FloatArray, State
 def _room(problem: Problem, n: int) -> int:
     """Runs that may still go into closing: the others of the budget in force audit the order."""
     budget = problem.budget_at(n)
-    return budget - min(MAX_AUDITS, round(AUDITED * budget)) - n
+    tests = min(most_runs(problem), budget // 2)
+    return budget - min(MAX_AUDITS, round(AUDITED * budget)) - tests - n
 
 
 def _round(
@@ -222,7 +223,8 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
     rng = problem.rng(AUDITS + state.k)
     snapshot = replace(_standing(labels, _bounds(problem, state)), phase="audit")
     scale = state.model.standardise.unit
-    labels = yield from check_left_out(problem, labels, scale, rng, snapshot)
+    within = replace(problem, max_calls=n + room)
+    labels, _ = yield from check_left_out(within, labels, scale, rng, snapshot)
     n_runs = min(MAX_AUDITS, share, room - (labels.n - n))
     if labels.learned is None or n_runs < 1:
         return replace(state, labels=labels)
@@ -239,8 +241,8 @@ def _refuted(state: State) -> bool:
     return verdict(state.labels, state.model.standardise.unit) is not Verdict.STANDS
 
 
-def _dropped(labels: Labels) -> Snapshot:
-    left_out = () if labels.order is not None else (Alarm.LEFT_OUT_MATTERS,)
+def _dropped(problem: Problem) -> Snapshot:
+    left_out = (Alarm.LEFT_OUT_MATTERS,) if problem.left_out else ()
     return Snapshot(
         alarms=(Alarm.ORDER_DROPPED, *left_out, Alarm.NO_ORDER),
         phase="close",

@@ -172,8 +172,8 @@ def _require_even(problem: Problem, u: FloatArray) -> None:
         Named with what to declare instead, before any run.
     """
     half = np.subtract(*np.quantile(u, (0.75, 0.25), axis=0))
-    wild = np.flatnonzero(np.ptp(u, axis=0) > MOST_UNEVEN * half)
-    if len(wild) and problem.order is not None and half[wild[0]] > 0:
+    wild = np.flatnonzero((half > 0) & (np.ptp(u, axis=0) > MOST_UNEVEN * half))
+    if len(wild) and problem.order is not None:
         k = int(wild[0])
         raise InvalidInputError(
             f"risk coordinate {problem.order.names[k]!r}: expected values of comparable size, got "

@@ -24,7 +24,7 @@ from crashrate.variables import BoolArray, FloatArray
 
 # For each variable that is left out, to either side, beyond these shares of the way from its mean
 # to the farthest value: the farther out, the less dangerous is what else is likely enough.
-FAR_OUT, N_EACH = (0.6, 0.85), 3
+FAR_OUT, N_EACH, FEW = (0.6, 0.85), 3, 2  # one run each where more than a few are left out
 
 
 def check_left_out(
@@ -33,17 +33,31 @@ def check_left_out(
     unit: FloatArray,
     rng: np.random.Generator,
     snapshot: Snapshot,
-) -> Generator[Query, FloatArray, Labels]:
-    """Simulate such situations; the outcomes by variables, without an order, if it is refuted."""
+) -> Generator[Query, FloatArray, tuple[Labels, bool]]:
+    """Simulate such situations; the outcomes by variables, without an order, if it is refuted.
+
+    And whether the budget let all of them be simulated.
+    """
     if labels.learned is None or not problem.left_out:
-        return labels
-    told = replace(snapshot, phase="learn")
-    before = labels.n
-    labels = yield from ask(problem, labels, _far_out(problem, labels, unit, rng), told)
-    crashed = labels.x[before:][labels.y[before:] == 1]
-    before = labels.n
-    labels = yield from ask(problem, labels, _as_usual(problem, crashed), told)
-    return labels.by_variables() if (labels.y[before:] == 0).any() else labels
+        return labels, True
+    told, before = replace(snapshot, phase="learn"), labels.n
+    x = _far_out(problem, labels, unit, rng)
+    labels = yield from ask(problem, labels, x, told)
+    usual = _as_usual(problem, labels.x[before:][labels.y[before:] == 1])
+    labels = yield from ask(problem, labels, usual, told)
+    whole = labels.n == before + len(x) + len(usual)
+    # a failed run clears nothing
+    refuted = (labels.y[before + len(x) :] != 1).any()
+    return labels.by_variables() if refuted else labels, whole
+
+
+def most_runs(problem: Problem) -> int:
+    """Runs that such a look may take, but for those as usual."""
+    return 2 * len(FAR_OUT) * len(problem.left_out) * _each(problem)
+
+
+def _each(problem: Problem) -> int:
+    return N_EACH if len(problem.left_out) <= FEW else min(N_EACH, 1)
 
 
 def _far_out(
@@ -59,21 +73,21 @@ def _far_out(
     near = reachable(pool, likeliest(problem, labels))
     safe = labels.implied(pool.u[near])[1] & labels.implied_deep(pool.u[near], DEEP * unit)
     x, u = pool.x[near[safe]], pool.u[near[safe]]
-    found = labels.x[:0]
+    found, n = labels.x[:0], _each(problem)
     for i in problem.left_out:
         away = x[:, i] - _usual(problem)[i]
         for way in (-away, away):
             for share in FAR_OUT:
                 far = (way > 0) & (way >= share * way.max(initial=0.0))
                 runs = np.concatenate([labels.x, found])
-                found = np.concatenate([found, _most_dangerous(x[far], u[far], runs)])
+                found = np.concatenate([found, _most_dangerous(x[far], u[far], runs, n)])
     return found
 
 
-def _most_dangerous(x: FloatArray, u: FloatArray, runs: FloatArray) -> FloatArray:
+def _most_dangerous(x: FloatArray, u: FloatArray, runs: FloatArray, n: int) -> FloatArray:
     """Some of `x` (n, d), far from all `runs`, that no other is more dangerous than."""
     top = np.flatnonzero(_among(u, maximal(u)))
-    return np.asarray(x[farthest(x, runs, top, N_EACH)])
+    return np.asarray(x[farthest(x, runs, top, n)])
 
 
 def _among(u: FloatArray, front: FloatArray) -> BoolArray:

@@ -135,30 +135,38 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
 
 def _again(state: State, view: View, surrogate: Surrogate, model: Model) -> View:
     """The pool as it is seen now."""
-    return see(view.pool, state.labels, surrogate, model.standardise)
+    pool = replace(view.pool, u=state.labels.coordinates(view.pool.x))  # they may be others by now
+    return see(pool, state.labels, surrogate, model.standardise)
 
 
 def _last_look(
     problem: Problem, state: State, snapshot: Snapshot, surrogate: Surrogate, model: Model
 ) -> Generator[Query, FloatArray, State]:
     """Look once more before the answer stands: first at what the order leaves out."""
-    running = replace(snapshot, stop_reason=StopReason.RUNNING)
-    tested = yield from _left_out(problem, state, running)
-    if tested.labels.order is not state.labels.order:
-        return tested
-    state = tested
+    if state.n_surveys < MAX_SURVEYS:
+        running = replace(snapshot, stop_reason=StopReason.RUNNING)
+        tested, whole = yield from _left_out(problem, state, running)
+        before, now = state.labels, tested.labels
+        if not whole or now.order is not before.order or now.contradictions > before.contradictions:
+            return tested  # with rounds to come, if the budget leaves any
+        state = tested
     return (yield from _survey(problem, state, snapshot, surrogate, model))
 
 
 def _left_out(
     problem: Problem, state: State, snapshot: Snapshot
-) -> Generator[Query, FloatArray, State]:
-    """See whether a variable that the order leaves out matters; it takes its place if so."""
+) -> Generator[Query, FloatArray, tuple[State, bool]]:
+    """See whether a variable that the order leaves out matters, and if so begin anew by variables.
+
+    And whether the budget let it look everywhere.
+    """
     unit, rng = state.model.standardise.unit, problem.rng(LEFT_OUT + state.k)
-    labels = yield from check_left_out(problem, state.labels, unit, rng, snapshot)
+    labels, whole = yield from check_left_out(problem, state.labels, unit, rng, snapshot)
     if labels.order is not state.labels.order:
-        return _by_variables(problem, state, labels)
-    return replace(state, labels=labels)
+        return _by_variables(problem, state, labels), whole
+    contradicted = labels.contradictions > state.labels.contradictions
+    n_surveys = state.n_surveys + contradicted  # another look comes, as after a surprise
+    return replace(state, labels=labels, n_surveys=n_surveys), whole
 
 
 def _by_variables(problem: Problem, state: State, labels: Labels) -> State:
