@@ -223,8 +223,8 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
     rng = problem.rng(AUDITS + state.k)
     snapshot = replace(_standing(labels, _bounds(problem, state)), phase="audit")
     scale = state.model.standardise.unit
-    within = replace(problem, max_calls=n + room)
-    labels, _ = yield from check_left_out(within, labels, scale, rng, snapshot)
+    in_force = replace(problem, max_calls=problem.budget_at(n))
+    labels, _ = yield from check_left_out(in_force, labels, scale, rng, snapshot)
     n_runs = min(MAX_AUDITS, share, room - (labels.n - n))
     if labels.learned is None or n_runs < 1:
         return replace(state, labels=labels)

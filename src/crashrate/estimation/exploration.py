@@ -110,9 +110,7 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
         if (labels.y == 1).any():
             labels = yield from probe(problem, labels, pool)
         elif (labels.y == 0).any():
-            labels = _given_up(
-                problem, labels
-            )  # the most dangerous situations are safe: not believed
+            labels = _given_up(problem, labels)  # its most dangerous situations are safe
     if not (labels.y == 1).any():
         wide = inflated(problem.traffic, factors(INFLATION))
         before = labels.n
@@ -132,6 +130,12 @@ def _given_up(problem: Problem, labels: Labels) -> Labels:
 def factors(inflation: float) -> tuple[float, ...]:
     """Of covariances: from traffic itself to far beyond it."""
     return 1.0, inflation, inflation**2
+
+
+def wide_pool(problem: Problem, labels: Labels, rng: np.random.Generator) -> Pool:
+    """Draws from traffic itself to far beyond it."""
+    wide = inflated(problem.traffic, factors(INFLATION))
+    return draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
 
 
 def danger(u: FloatArray) -> FloatArray:

@@ -13,14 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from crashrate.crash_set.fronts import maximal
-from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
+from crashrate.crash_set.fronts import above_any, maximal
+from crashrate.estimation.exploration import wide_pool
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import ask, farthest, likeliest, reachable
 from crashrate.estimation.refutation import DEEP
 from crashrate.estimation.strategy import Problem, Query, Snapshot
-from crashrate.sampling.pool import draw_pool
-from crashrate.variables import BoolArray, FloatArray
+from crashrate.variables import FloatArray
 
 # For each variable that is left out, to either side, beyond these shares of the way from its mean
 # to the farthest value: the farther out, the less dangerous is what else is likely enough.
@@ -57,7 +56,7 @@ def most_runs(problem: Problem) -> int:
 
 
 def _each(problem: Problem) -> int:
-    return N_EACH if len(problem.left_out) <= FEW else min(N_EACH, 1)
+    return N_EACH if len(problem.left_out) <= FEW else 1
 
 
 def _far_out(
@@ -68,14 +67,13 @@ def _far_out(
     Of the most dangerous that lie deep, in units (m,), below a safe outcome: a ripple at the edge
     refutes nothing. And none that is far less likely than the likeliest crash.
     """
-    wide = inflated(problem.traffic, factors(INFLATION))
-    pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+    pool = wide_pool(problem, labels, rng)
     near = reachable(pool, likeliest(problem, labels))
     safe = labels.implied(pool.u[near])[1] & labels.implied_deep(pool.u[near], DEEP * unit)
     x, u = pool.x[near[safe]], pool.u[near[safe]]
-    found, n = labels.x[:0], _each(problem)
+    found, n, usual = labels.x[:0], _each(problem), _usual(problem)
     for i in problem.left_out:
-        away = x[:, i] - _usual(problem)[i]
+        away = x[:, i] - usual[i]
         for way in (-away, away):
             for share in FAR_OUT:
                 far = (way > 0) & (way >= share * way.max(initial=0.0))
@@ -86,14 +84,8 @@ def _far_out(
 
 def _most_dangerous(x: FloatArray, u: FloatArray, runs: FloatArray, n: int) -> FloatArray:
     """Some of `x` (n, d), far from all `runs`, that no other is more dangerous than."""
-    top = np.flatnonzero(_among(u, maximal(u)))
+    top = np.flatnonzero(above_any(u, maximal(u)))
     return np.asarray(x[farthest(x, runs, top, n)])
-
-
-def _among(u: FloatArray, front: FloatArray) -> BoolArray:
-    """Which rows of `u` (n, m) are rows of `front` (k, m)."""
-    rows = {row.tobytes() for row in front}
-    return np.array([row.tobytes() in rows for row in u], dtype=np.bool_)
 
 
 def _as_usual(problem: Problem, x: FloatArray) -> FloatArray:

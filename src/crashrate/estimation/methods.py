@@ -61,14 +61,8 @@ def method_for(method: str, goal: str, *, ordered: bool) -> Method:
     InvalidInputError
         If one of them is unknown, or the goal is out of the method's or the order's reach.
     """
-    if not isinstance(method, str) or method not in METHODS:
-        raise InvalidInputError(
-            f"method: expected a known one, got {method!r}{nearest(str(method), tuple(METHODS))}."
-        )
-    if not isinstance(goal, str) or goal not in GOALS:
-        raise InvalidInputError(
-            f"goal: expected a known one, got {goal!r}{nearest(str(goal), tuple(GOALS))}."
-        )
+    _require_known("method", method, METHODS)
+    _require_known("goal", goal, GOALS)
     if method not in GOALS[goal]:
         raise InvalidInputError(
             f"goal: {goal!r} is served by the method {', '.join(GOALS[goal])}, got {method!r}."
@@ -79,6 +73,13 @@ def method_for(method: str, goal: str, *, ordered: bool) -> Method:
             "declare it with risk={'v_lead': 'decreasing', …}, or ask for the goal 'probability'."
         )
     return GOALS[goal][method]
+
+
+def _require_known(what: str, name: str, known: Mapping[str, object]) -> None:
+    if not isinstance(name, str) or name not in known:
+        raise InvalidInputError(
+            f"{what}: expected a known one, got {name!r}{nearest(str(name), tuple(known))}."
+        )
 
 
 def declared(

@@ -22,7 +22,7 @@ from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import beside
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.contesting import SURE, contested
-from crashrate.estimation.exploration import INFLATION, N_WIDE, factors, inflated
+from crashrate.estimation.exploration import wide_pool
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.local_units import farthest_locally
 from crashrate.estimation.probing import (
@@ -35,13 +35,14 @@ from crashrate.estimation.probing import (
 )
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.estimation.view import normalised, see
-from crashrate.sampling.pool import Pool, draw_pool
+from crashrate.sampling.pool import draw_pool
 from crashrate.variables import FloatArray
 
 # Without an order, before anything is estimated: runs in the emptiest places, and where a crash
 # would be likelier than known ones. So many, half as many again as a lattice has, would fill
-# traffic up to FILLED standard deviations.
-N_FIRST, N_DENSER_FIRST, FILLED = 14, 21, 4.0
+# traffic up to FILLED standard deviations, with this share of its volume to each.
+N_FIRST, N_DENSER_FIRST = 14, 21
+FILLED, TO_EACH = 4.0, 1.5 / N_DENSER_FIRST
 # In the last look: where crashes would be about as likely as known ones, beside those, and where
 # they would be likelier.
 N_ALIKE, N_BESIDE, N_DENSER = 4, 5, 6
@@ -90,7 +91,7 @@ def first_survey(
     """Look at the emptiest places before anything is estimated, unless `n_before` runs did."""
     x = emptiest(problem, labels, max(N_FIRST - n_before, 0), rng)
     # a search may have filled that space before
-    least = FILLED * (1.5 / max(N_DENSER_FIRST, 1)) ** (1 / problem.traffic.n_variables)
+    least = FILLED * TO_EACH ** (1 / problem.traffic.n_variables)
     x = np.concatenate([x, _denser(problem, labels, x, N_DENSER_FIRST, rng, least=least)])
     return (yield from ask(problem, labels, x))
 
@@ -140,7 +141,7 @@ def _silent(
     next to nothing to the `probability`.
     """
     labels = belief.labels
-    pool = _wide(problem, labels, rng)
+    pool = wide_pool(problem, labels, rng)
     near = reachable(pool, likeliest(problem, labels))
     open_ = near[~np.logical_or(*labels.presumed(pool.u[near]))]
     rows = open_[belief.see(pool.x[open_]).surrogate_h < SURE]
@@ -184,7 +185,7 @@ def _denser(
     least: float = 0.0,
 ) -> FloatArray:
     """Situations (n, d) denser than the likeliest crash, far from all runs and those `chosen`."""
-    wide = _wide(problem, labels, rng)
+    wide = wide_pool(problem, labels, rng)
     rows = np.flatnonzero(wide.log_f >= likeliest(problem, labels) + ABOVE)
     runs = np.concatenate([labels.x, chosen])
     x, log_f = wide.x[rows], wide.log_f[rows]
@@ -198,7 +199,7 @@ def _next_to(
 
     (The interval counts as crashes what lies where several failed runs are the nearest.)
     """
-    pool, z = _wide(problem, belief.labels, rng), belief.standardise
+    pool, z = wide_pool(problem, belief.labels, rng), belief.standardise
     places = z(belief.labels.coordinates(failed))
     return np.asarray(pool.x[np.unique(cKDTree(z(pool.u)).query(places, k=N_NEXT)[1])])
 
@@ -225,7 +226,7 @@ def supposed(
 
 def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> FloatArray:
     """Situations (n, d) each the farthest from all runs: half where a crash would matter most."""
-    pool = _wide(problem, labels, rng)
+    pool = wide_pool(problem, labels, rng)
     known = likeliest(problem, labels)
     near = reachable(pool, known) if known > -np.inf else np.empty(0, dtype=int)
     first = farthest(pool.u, labels.u, near, n // 2)
@@ -233,8 +234,3 @@ def emptiest(problem: Problem, labels: Labels, n: int, rng: np.random.Generator)
     seen = np.concatenate([labels.u, pool.u[first]])
     rest = farthest(pool.u, seen, everywhere, n - len(first))
     return np.asarray(pool.x[np.concatenate([first, rest])])
-
-
-def _wide(problem: Problem, labels: Labels, rng: np.random.Generator) -> Pool:
-    wide = inflated(problem.traffic, factors(INFLATION))
-    return draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
