@@ -25,7 +25,6 @@ CALM = [
         predicted=1e-3,
         known=1e-3,
         variance=1e-8,
-        n_draws=10,
         squares=1e-8,
         largest=1e-5,
         hits=Hits(n=1, reach=1e3),

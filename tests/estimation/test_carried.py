@@ -91,16 +91,15 @@ def test_an_aim_draws_where_the_consequence_is_in_doubt_and_leaves_every_draw_po
     assert np.all(aimed[plain > 0] > 0)
 
 
-def carried(estimate, deviation, n_draws=10, events=(1e-6, 1e-13), share=0.0):
+def carried(estimate, deviation, n_runs=10, events=(1e-6, 1e-13), share=0.0):
     found = Round(
-        n_runs=n_draws,
+        n_runs=n_runs,
         estimate=estimate,
         lowest=estimate,
         highest=estimate,
         predicted=max(estimate, 1e-12),
         known=max(estimate, 1e-12),
         variance=deviation**2,
-        n_draws=n_draws,
         squares=deviation**2,
         largest=1e-12,
     )

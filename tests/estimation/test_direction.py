@@ -183,7 +183,7 @@ def rounds_of(rng, sd, over_confidence=1.0, seen=1.0):
         estimate = share + true * rng.standard_normal()
         squares = true**2 * rng.chisquare(6) / 6
         sums = Sums(*(np.array([v]) for v in (estimate, got, (got * s) ** 2, squares)))
-        rounds.append(Round(6, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01, 6, 0.01, 0.1, members=sums))
+        rounds.append(Round(6, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01, 0.01, 0.1, members=sums))
     return rounds
 
 

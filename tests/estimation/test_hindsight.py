@@ -133,7 +133,7 @@ def test_of_next_to_nothing_left_no_round_is_certain(seen):
 
 def test_rounds_that_foresaw_too_little_are_left_out():
     """Their variance, capped, would not make up for what they are all too low by."""
-    one = Round(6, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01, 6, 0.01, 0.1)
+    one = Round(6, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01, 0.01, 0.1)
     blind, short = replace(one, predicted=0.7), replace(one, predicted=0.8)
     assert list(counted([blind, short, one, one])) == [short, one, one]
     assert list(counted([blind, blind])) == [blind, blind]  # none knew better

@@ -72,6 +72,25 @@ def test_predicted_variance_is_seen_where_the_surrogate_is_right(toy_view):
     )
 
 
+@pytest.mark.parametrize("n", [60, 1500])
+def test_a_run_that_is_drawn_many_times_counts_once(toy_view, n):
+    view, _ = toy_view(np.random.default_rng(4), n=100)
+    rng, moved, squares = np.random.default_rng(5), [], []
+    for _ in range(3000):
+        drawn = to_estimate(view, n, rng)
+        outcomes = (rng.random(len(view.h)) < view.h).astype(float)
+        got = measure(view, drawn, outcomes[drawn.rows])
+        moved.append(got.estimate - view.probability)
+        squares.append(got.squares - view.pool_variance)
+    predicted = predicted_variance(view, drawn.probabilities, n)
+    assert np.var(moved) == pytest.approx(predicted, rel=0.12)
+    assert np.mean(squares) == pytest.approx(predicted, rel=0.05)
+    assert drawn.rows.shape < (n,)
+    # each draw for itself, as if its outcome were another, would promise too much
+    alone = float(view.spread**2 @ (1 / (n * drawn.probabilities)))
+    assert np.var(moved) > (1.05 if n == 60 else 3) * alone
+
+
 def test_failed_simulations_bracket_what_they_may_have_been(toy_view):
     view, outcomes = toy_view(np.random.default_rng(6))
     drawn = to_estimate(view, 8, np.random.default_rng(7))
@@ -104,7 +123,6 @@ def round_of(estimate, variance, predicted=1.0, fails=0.0, squares=None):
         predicted=predicted,
         known=predicted,
         variance=variance,
-        n_draws=10,
         squares=variance if squares is None else squares,
         largest=0.1,
     )

@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crashrate.estimation.selection import aside, audit, greedy, to_estimate, to_learn
+from crashrate.estimation.selection import (
+    aside,
+    audit,
+    greedy,
+    mean_squares,
+    systematic,
+    to_estimate,
+    to_learn,
+)
 
 
 @pytest.fixture
@@ -16,7 +24,7 @@ def view(toy_view):
 def test_probabilities_sum_to_one_and_reach_whatever_may_be_wrong(view):
     drawn = to_estimate(view, 6, np.random.default_rng(1))
     assert drawn.probabilities.sum() == pytest.approx(1)
-    assert drawn.rows.shape == (6,)
+    assert (drawn.n, drawn.rows.shape) == (6, drawn.times.shape)
     assert drawn.probabilities.min() > 0  # every draw here has some weight and some doubt
 
 
@@ -25,13 +33,23 @@ def test_rows_are_drawn_as_often_as_their_probabilities_say(view):
     counts = np.zeros(len(view.h))
     for _ in range(times):
         drawn = to_estimate(view, n, rng)
-        np.add.at(counts, drawn.rows, 1)
+        counts[drawn.rows] += drawn.times
     expected = n * times * drawn.probabilities
     likely = expected > 20
     z = (counts - expected)[likely] / np.sqrt(expected[likely])
     assert np.abs(z).max() < 4.5
     uniform = np.full(likely.sum(), n * times / len(view.h))  # the check tells other frequencies
     assert np.abs((counts[likely] - uniform) / np.sqrt(uniform)).max() > 4.5
+
+
+@pytest.mark.parametrize("expected", [0.02, 0.7, 1.0, 1.3, 5.5])
+def test_mean_squares_are_those_of_systematic_draws(expected):
+    starts = (np.arange(20_000) + 0.5) / 20_000
+    n = 20
+    likely = np.array([0.7, expected, n - 0.7 - expected]) / n
+    times = np.array([(systematic(likely, n, start) == 1).sum() for start in starts])
+    got = ((times / expected) ** 2).mean()
+    assert mean_squares(np.array([expected]))[0] == pytest.approx(got, rel=1e-3)
 
 
 def test_a_directed_round_draws_for_other_traffic_and_still_for_its_own(view):

@@ -34,7 +34,6 @@ def rounds_of(n, variance):
         predicted=0.02,
         known=0.02,
         variance=variance,
-        n_draws=10,
         squares=variance,
         largest=1e-3,
         hits=Hits(n=2, reach=1e4),

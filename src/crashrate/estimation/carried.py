@@ -27,7 +27,7 @@ class Carried:
     round : Round
         Of the consequence in place of the event.
     events, squares, carried : float
-        Sums over the draws with the event: of their contributions c = w / pr to its probability,
+        Sums over the runs with the event: of their contributions c = w / pr to its probability,
         of c², and of c z.
     """
 
@@ -38,7 +38,7 @@ class Carried:
 
 
 def carry(view: View, drawn: Drawn, y: FloatArray, z: FloatArray) -> tuple[Carried, ...]:
-    """Each consequence in the round in which `drawn` had outcomes y (n,) and z (n, K)."""
+    """Each consequence in the round in which `drawn` had outcomes y (k,) and z (k, K)."""
     return tuple(
         _carried(view, moments, drawn, y, column)
         for moments, column in zip(view.consequences, z.T, strict=True)
@@ -46,14 +46,13 @@ def carry(view: View, drawn: Drawn, y: FloatArray, z: FloatArray) -> tuple[Carri
 
 
 def _carried(view: View, held: Moments, drawn: Drawn, y: FloatArray, z: FloatArray) -> Carried:
-    rows, n = drawn.rows, len(drawn.rows)
-    factor = view.weights[rows] / drawn.probabilities[rows]
+    factor = view.weights[drawn.rows] * drawn.factors
     event, spread = factor * (y == 1), view.weights * held.deviation
     return Carried(
         corrected(view, held.mean, np.where(view.failing, 0.0, spread), drawn, z)[0],
-        events=float(event.sum()) / n,
-        squares=float(event @ event) / n**2,
-        carried=float(event @ np.nan_to_num(z)) / n,
+        events=float(event.sum()),
+        squares=float(event @ event),
+        carried=float(event @ np.nan_to_num(z)),
     )
 
 
@@ -107,7 +106,7 @@ def _share(found: Sequence[Carried], confidence: float) -> tuple[float, float]:
     At the effective numbers of events, and of those with the consequence (Korn & Graubard 1998);
     a number within [0, 1] varies no more than a yes or no of the same mean.
     """
-    n = np.array([f.round.n_draws for f in found])
+    n = np.array([f.round.n_runs for f in found])
     share = n / n.sum()
     events = float(share @ [f.events for f in found])
     squares = float(share**2 @ [f.squares for f in found])

@@ -35,7 +35,8 @@ class Design:
     u : ndarray, shape (k, m)
         Risk coordinates.
     weights, h, move : ndarray, shape (k,)
-        Weight, what was held, and w / pr / n: what one draw moves the estimate by if it crashes.
+        Weight, what was held, and w / pr / n: what one draw moves the estimate by if it crashes
+        (w where it is drawn for sure).
     each : ndarray, shape (k,)
         Rows of the pool that one of these stands for.
     n_pool : int
@@ -81,18 +82,17 @@ class Design:
 
 def design(view: View, drawn: Drawn) -> Design:
     """Of the round that drew so."""
-    n = len(drawn.rows)
     kept, each = _kept(view)
     weights = view.weights[kept]
     return Design(
         u=view.pool.u[kept],
         weights=weights,
         h=view.h[kept],
-        move=weights / np.maximum(drawn.probabilities[kept], 1e-300) / n,
+        move=weights * drawn.mean_squares[kept],
         each=each,
         n_pool=view.pool.n_drawn,
         probability=view.probability,
-        drawing=predicted_variance(view, drawn.probabilities, n),
+        drawing=predicted_variance(view, drawn.probabilities, drawn.n),
         of_pool=view.pool_variance,
     )
 

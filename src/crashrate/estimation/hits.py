@@ -44,15 +44,15 @@ NONE = Hits()
 
 
 def count(view: View, drawn: Drawn, outcomes: FloatArray) -> Hits:
-    """Hits among `drawn`, whose `outcomes` (n,) were 1, 0, or NaN for a failed simulation."""
+    """Hits among `drawn`, whose `outcomes` (k,) were 1, 0, or NaN for a failed simulation."""
     rows = drawn.rows
     there = view.undecided[rows]
     possible = view.undecided & (view.weights > 0)
-    expected = np.minimum(len(rows) * drawn.probabilities[possible], 1.0)  # each counts once
+    expected = np.minimum(drawn.n * drawn.probabilities[possible], 1.0)  # each counts once
     least = (expected / view.weights[possible]).min(initial=np.inf)
     return Hits(
-        n=len(np.unique(rows[there & (outcomes == 1)])),
-        n_failed=len(np.unique(rows[there & np.isnan(outcomes)])),
+        n=int((there & (outcomes == 1)).sum()),
+        n_failed=int((there & np.isnan(outcomes)).sum()),
         reach=float(least),
         taken=float(view.weights[view.inner | view.failing].sum()),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from crashrate.estimation.hits import NONE, Hits, count
-from crashrate.estimation.selection import Drawn
+from crashrate.estimation.selection import Drawn, mean_squares
 from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.view import View
 from crashrate.estimation.within_unit import within_unit
@@ -81,10 +81,8 @@ class Round:
         The same by what is known now.
     variance : float
         Of `estimate`, by what is known now: as predicted for the latest round.
-    n_draws : int
-        Draws, repetitions included.
     squares : float
-        Sum of the squared contributions of the draws, with the pool's part of `variance`: what was
+        Sum of the squared contributions of the runs, with the pool's part of `variance`: what was
         predicted, as it came out.
     largest : float
         Largest contribution of a single run.
@@ -106,7 +104,6 @@ class Round:
     predicted: float
     known: float
     variance: float
-    n_draws: int
     squares: float
     largest: float
     members: Sums | None = None
@@ -117,7 +114,7 @@ class Round:
 
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
-    """The round in which `drawn` had `outcomes` (n,): 1, 0, or NaN for a failed simulation."""
+    """The round in which `drawn` had `outcomes` (k,): 1, 0, or NaN for a failed simulation."""
     found, moved = corrected(view, view.h, view.spread, drawn, outcomes)
     members = _under_members(view, drawn, moved)
     return replace(found, members=members, hits=count(view, drawn, outcomes))
@@ -126,7 +123,7 @@ def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
 def corrected(
     view: View, held: FloatArray, spread: FloatArray, drawn: Drawn, values: FloatArray
 ) -> tuple[Round, FloatArray]:
-    """The round in which `drawn` had `values`, and what each draw (n,) moved it by.
+    """The round in which `drawn` had `values`, and what each run (k,) moved it by.
 
     Parameters
     ----------
@@ -134,29 +131,25 @@ def corrected(
     held, spread : ndarray, shape (N,)
         Expectation of the value at each draw of the pool, and its weighted standard deviation.
     drawn : Drawn
-    values : ndarray, shape (n,)
+    values : ndarray, shape (k,)
         In [0, 1]; NaN for a failed simulation.
     """
-    rows, n = drawn.rows, len(drawn.rows)
-    factor, expected = view.weights[rows] / drawn.probabilities[rows], held[rows]
-    failed = np.isnan(values)
-    moved = factor * (np.where(failed, expected, values) - expected) / n
-    least, most = (
-        float((factor * np.where(failed, e - expected, 0.0)).sum() / n) for e in (0.0, 1.0)
-    )
+    rows, failed = drawn.rows, np.isnan(values)
+    factor, expected = view.weights[rows] * drawn.factors, held[rows]
+    moved = factor * (np.where(failed, expected, values) - expected)
+    least, most = (float((factor * np.where(failed, e - expected, 0.0)).sum()) for e in (0.0, 1.0))
     failing = np.where(view.failing, view.weights, 0.0)
     predicted, of_pool = float(view.weights @ held), view.variance_of(held)
-    drawing = float(_variance_parts(spread, drawn.probabilities).sum() / n)
+    drawing = float(spread**2 @ drawn.mean_squares)
     estimate = predicted + float(moved.sum())
     found = Round(
-        n_runs=len(np.unique(rows)),
+        n_runs=len(rows),
         estimate=estimate,
         lowest=estimate + least - float(failing @ held),
         highest=estimate + most + float(failing @ (1 - held)),
         predicted=predicted,
         known=predicted,
         variance=float(at_least(drawing + of_pool, predicted)),
-        n_draws=n,
         squares=float(moved @ moved) + of_pool,
         largest=float(np.abs(moved).max()),
     )
@@ -174,7 +167,7 @@ def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
         return None
     part, drawn_ratios = view.weights * view.h, ratios[drawn.rows]
     predicted = part @ ratios
-    spread = _variance_parts(view.spread, drawn.probabilities) / len(drawn.rows)
+    spread = view.spread**2 * drawn.mean_squares
     pool = np.maximum((part**2) @ ratios**2 - predicted**2 / view.pool.n_drawn, 0.0)
     return Sums(
         estimates=predicted + moved @ drawn_ratios,
@@ -185,13 +178,11 @@ def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
 
 
 def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
-    """Variance of the correction if h is right: Σ w² h (1-h) / pr / n."""
-    return float(_variance_parts(view.spread, probabilities).sum() / n)
+    """Variance of the correction if h is right: Σ w² h (1-h) / (n pr), and less of it than w² h.
 
-
-def _variance_parts(spread: FloatArray, probabilities: FloatArray) -> FloatArray:
-    """What each draw of the pool adds to the variance of one draw's correction."""
-    return spread**2 / np.maximum(probabilities, 1e-300)
+    Beside the pool's: a row that is drawn for sure leaves the part of it that its outcome has.
+    """
+    return float(view.spread**2 @ mean_squares(n * probabilities))
 
 
 @dataclass(frozen=True)
@@ -264,8 +255,8 @@ def combine_all(rounds: Sequence[Round], confidence: float, least: float) -> Com
         for name in ("estimate", "known", "variance", "squares")
     )
     share = _shares(known, variances)
-    n_draws = np.array([r.n_draws for r in rounds], dtype=float)
-    found = _together(share, Sums(estimates, known, variances, squares), n_draws, least)
+    n_runs = np.array([r.n_runs for r in rounds], dtype=float)
+    found = _together(share, Sums(estimates, known, variances, squares), n_runs, least)
     center, error = float(found.center), math.sqrt(found.inflation * found.variance)
     half_width = float(stdtrit(found.freedom, 0.5 + confidence / 2)) * error
     lowest = float(share @ np.array([r.lowest for r in rounds]))
@@ -280,7 +271,7 @@ def combine_all(rounds: Sequence[Round], confidence: float, least: float) -> Com
         largest_share=largest / center if center > 0 else 1.0,
         inflation=float(found.inflation),
         freedom=float(found.freedom),
-        members=_members(rounds, n_draws, float(found.inflation)),
+        members=_members(rounds, n_runs, float(found.inflation)),
     )
 
 
@@ -318,15 +309,15 @@ class _Together:
     freedom: FloatArray
 
 
-def _together(share: FloatArray, sums: Sums, n_draws: FloatArray, least: float) -> _Together:
-    """Rounds of `n_draws` (R,) combined by their shares (R, ...)."""
+def _together(share: FloatArray, sums: Sums, n_runs: FloatArray, least: float) -> _Together:
+    """Rounds of `n_runs` (R,) combined by their shares (R, ...)."""
     center = (share * sums.estimates).sum(axis=0)
     squares = (sums.estimates - center) ** 2 / sums.variances
     variance = (share**2 * sums.variances).sum(axis=0)
     part = share**2 * sums.variances / variance
     freedom = PRIOR_ROUNDS + 1 / (part**2).sum(axis=0) - 1
     scatter = (PRIOR_ROUNDS + (part * squares).sum(axis=0) / (part**2).sum(axis=0)) / freedom
-    worth = DRAW_WORTH / (part.T**2 / n_draws).sum(axis=-1)
+    worth = DRAW_WORTH / (part.T**2 / n_runs).sum(axis=-1)
     surprise = (share**2 * sums.squares).sum(axis=0) / variance
     pooled = (freedom * scatter + worth * surprise) / (freedom + worth)
     # draws say nothing of scatter that none of them sees; few rounds hardly show that it is small
@@ -336,7 +327,7 @@ def _together(share: FloatArray, sums: Sums, n_draws: FloatArray, least: float) 
     return _Together(center, variance, squares.mean(axis=0), inflation, known)
 
 
-def _members(rounds: Sequence[Round], n_draws: FloatArray, least: float) -> TrafficRange | None:
+def _members(rounds: Sequence[Round], n_runs: FloatArray, least: float) -> TrafficRange | None:
     """Each member by its own shares: a round directed at it says little about the others.
 
     A round that had not seen the member's crashes is left out for it, as `not_refuted` does for
@@ -351,7 +342,7 @@ def _members(rounds: Sequence[Round], n_draws: FloatArray, least: float) -> Traf
     known = MIN_PREDICTED * np.median(sums.predicted[-LATEST:], axis=0)
     predicted = np.where(sums.predicted >= known, sums.predicted, np.nan)
     share = _shares(predicted, sums.variances)
-    got = _together(share, sums, n_draws, least)
+    got = _together(share, sums, n_runs, least)
     error = np.sqrt(got.inflation * got.variance)
     return TrafficRange(tuple(got.center.tolist()), tuple(error.tolist()))
 

@@ -71,14 +71,43 @@ class Drawn:
 
     Parameters
     ----------
-    rows : ndarray of int, shape (n,)
-        In the pool, repeated where drawn repeatedly.
+    rows : ndarray of int, shape (k,)
+        In the pool, each once: a run for each.
+    times : ndarray of int, shape (k,)
+        How often each was drawn.
     probabilities : ndarray, shape (N,)
         Of each pool row in one draw.
     """
 
     rows: IntArray
+    times: IntArray
     probabilities: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Draws, repetitions included."""
+        return int(self.times.sum())
+
+    @property
+    def factors(self) -> FloatArray:
+        """What each run stands for, (k,): with it a sum over the runs is one over the pool."""
+        return np.asarray(self.times / (self.n * self.probabilities[self.rows]))
+
+    @property
+    def mean_squares(self) -> FloatArray:
+        """Of the factors, zero where it is not drawn, at each row of the pool, (N,)."""
+        return mean_squares(self.n * self.probabilities)
+
+
+def mean_squares(expected: FloatArray) -> FloatArray:
+    """Mean square of times drawn over times `expected`, if the draws are systematic.
+
+    1 / m below one. A row that is expected m times is drawn as often as m's next integers: beyond
+    one it is drawn for sure, and its outcome counts in full, however often it is.
+    """
+    m = np.maximum(expected, 1e-300)
+    beyond = m - np.floor(m)
+    return np.where(m < 1, 1 / m, 1 + beyond * (1 - beyond) / np.maximum(m, 1.0) ** 2)
 
 
 def to_estimate(view: View, n: int, rng: np.random.Generator, towards: View | None = None) -> Drawn:
@@ -91,8 +120,9 @@ def to_estimate(view: View, n: int, rng: np.random.Generator, towards: View | No
     if towards is not None:
         probabilities = DIRECTED * estimating(towards) + (1 - DIRECTED) * probabilities
     by_h = np.argsort(view.h, kind="stable")
-    rows = by_h[systematic(probabilities[by_h], n, rng.random())]
-    return Drawn(rows, probabilities)
+    chosen = systematic(probabilities[by_h], n, rng.random())
+    places, times = np.unique(chosen, return_counts=True)
+    return Drawn(by_h[places], times, probabilities)
 
 
 def systematic(likely: FloatArray, n: int, start: float) -> IntArray:
