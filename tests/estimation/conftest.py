@@ -130,12 +130,13 @@ def drive():
 @pytest.fixture
 def small(monkeypatch):
     """Small pools, one kernel: campaigns that are quick, and otherwise the default ones."""
-    from crashrate.estimation import aiming, exploration, kernels, sequential
+    from crashrate.estimation import aiming, beginning, exploration, kernels, sequential
     from crashrate.sampling import gaussians
 
     monkeypatch.setattr(gaussians, "EM_STEPS", 3)
 
-    monkeypatch.setattr(sequential, "N_POOL", 600)
+    for module in (sequential, beginning):
+        monkeypatch.setattr(module, "N_POOL", 600)
     for name, value in (("N_FIT", 100), ("N_COMPONENTS", 3)):
         monkeypatch.setattr(aiming, name, value)
     monkeypatch.setattr(kernels, "KERNELS", (kernels.Kernel(0.5, 2.0, 1e3),))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from crashrate.estimation import aiming, sequential, surveying
+from crashrate.estimation import aiming, last_look, sequential, surveying
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.probing import farthest_as_scaled
@@ -60,7 +60,7 @@ def test_a_surprise_voids_what_was_estimated_and_a_clean_look_ends_it(cases, mon
         looks.append(found.surprised)
         return found
 
-    monkeypatch.setattr(sequential, "survey", watched)
+    monkeypatch.setattr(last_look, "survey", watched)
     ratios = []
     for seed in range(4):
         looks.clear()
@@ -95,7 +95,7 @@ def test_with_an_order_the_places_it_is_silent_about_are_looked_at(cases, monkey
         looks.append((belief, found))
         return found
 
-    monkeypatch.setattr(sequential, "survey", watched)
+    monkeypatch.setattr(last_look, "survey", watched)
     got = ordered(cases, 3)
     assert got.interval[0] <= ANY <= got.interval[1]
     assert got.stop_reason is StopReason.TARGET_MET
@@ -146,7 +146,7 @@ def test_with_an_order_too_a_surprise_voids_what_was_estimated(cases, whole, mon
         looks.append(look.labels.n)
         return replace(look, surprised=look.surprised or len(looks) == 1)
 
-    monkeypatch.setattr(sequential, "survey", surprised)
+    monkeypatch.setattr(last_look, "survey", surprised)
     got = ordered(cases, 0)
     assert len(looks) >= 2
     assert looks[0] <= whole.n_calls
@@ -161,7 +161,7 @@ def test_a_surprise_at_the_end_of_the_budget_leaves_a_first_idea(cases, whole, m
         look = yield from surveying.survey(*arguments)
         return replace(look, surprised=True)
 
-    monkeypatch.setattr(sequential, "survey", surprised)
+    monkeypatch.setattr(last_look, "survey", surprised)
     got = ordered(cases, 0, max_calls=whole.n_calls + 5)
     assert got.stop_reason is StopReason.BUDGET_ENDED
     assert got.probability == pytest.approx(ANY, rel=0.3)
@@ -174,7 +174,7 @@ def beyond(x):
     return x.sum(axis=1) >= np.sqrt(2) * norm.isf(1e-4)
 
 
-def last_look(cases, risk, outcomes):
+def looked_last(cases, risk, outcomes):
     """What a campaign believes, where it looks last, and what it makes of `outcomes` there."""
     campaign = Campaign(cases.standard_normal(2), risk=risk, max_calls=120)
     while not campaign.done:
@@ -196,7 +196,7 @@ def last_look(cases, risk, outcomes):
 @pytest.mark.parametrize("ordered", [True, False])
 def test_the_last_look_goes_where_only_the_surrogate_sees_crashes(cases, ordered):
     risk = cases.increasing(2) if ordered else None
-    belief, x, look = last_look(cases, risk, beyond)
+    belief, x, look = looked_last(cases, risk, beyond)
     x = x if ordered else x[N_OUTSIDE:]
     inside = belief.see(x).surrogate_h > surveying.SURE_OF_CRASH
     most = surveying.N_INSIDE if ordered else surveying.N_UNORDERED
@@ -210,25 +210,25 @@ def test_the_last_look_goes_where_only_the_surrogate_sees_crashes(cases, ordered
 @pytest.mark.parametrize("ordered", [True, False])
 def test_a_safe_outcome_where_crashes_were_sure_is_a_surprise(cases, ordered):
     risk = cases.increasing(2) if ordered else None
-    look = last_look(cases, risk, lambda x: np.zeros(len(x)))[2]
+    look = looked_last(cases, risk, lambda x: np.zeros(len(x)))[2]
     assert look.surprised
     assert look.doubted
     # failed runs say nothing
-    look = last_look(cases, risk, lambda x: np.where(beyond(x), np.nan, 0.0))[2]
+    look = looked_last(cases, risk, lambda x: np.where(beyond(x), np.nan, 0.0))[2]
     assert not look.surprised
     assert not look.doubted
 
 
 def test_where_crashes_were_only_likely_a_safe_one_is_a_doubt(cases, monkeypatch):
     monkeypatch.setattr(surveying, "SURE", 0.0)
-    look = last_look(cases, cases.increasing(2), lambda x: np.zeros(len(x)))[2]
+    look = looked_last(cases, cases.increasing(2), lambda x: np.zeros(len(x)))[2]
     assert look.doubted
     assert not look.surprised
 
 
 def test_supposed_crashes_are_drawn_as_traffic_has_them(cases, monkeypatch):
     monkeypatch.setattr(surveying, "N_UNORDERED", 300)
-    x = last_look(cases, None, beyond)[1][N_OUTSIDE:]
+    x = looked_last(cases, None, beyond)[1][N_OUTSIDE:]
     level = norm.isf(1e-4)
     past = x.sum(axis=1) / np.sqrt(2) - level
     assert len(x) > 100
@@ -238,16 +238,16 @@ def test_supposed_crashes_are_drawn_as_traffic_has_them(cases, monkeypatch):
 
 def test_nothing_is_supposed_where_simulations_fail(cases, monkeypatch):
     monkeypatch.setattr(surveying, "see", lambda *a: replace(v := see(*a), failing=v.h > 0.5))
-    assert len(last_look(cases, None, beyond)[1]) == N_OUTSIDE
+    assert len(looked_last(cases, None, beyond)[1]) == N_OUTSIDE
 
 
 def test_where_little_hangs_on_the_surrogate_it_is_not_asked(cases, monkeypatch):
     monkeypatch.setattr(surveying, "LITTLE", 1e9)
-    assert len(last_look(cases, None, beyond)[1]) == N_OUTSIDE
+    assert len(looked_last(cases, None, beyond)[1]) == N_OUTSIDE
 
 
 def test_without_an_order_the_last_look_is_at_places_as_likely_as_the_likeliest_crash(cases):
-    belief, x, look = last_look(cases, None, beyond)
+    belief, x, look = looked_last(cases, None, beyond)
     traffic, labels = cases.standard_normal(2), belief.labels
     outside = x[: surveying.N_ALIKE + surveying.N_BESIDE]
     less = traffic.log_density(labels.crashes).max() - traffic.log_density(outside)
@@ -306,8 +306,9 @@ def test_surveys_come_to_an_end(cases, monkeypatch):
         look = yield from surveying.survey(*arguments)
         return replace(look, surprised=True)
 
-    monkeypatch.setattr(sequential, "survey", surprised)
-    monkeypatch.setattr(sequential, "MAX_SURVEYS", 2)
+    monkeypatch.setattr(last_look, "survey", surprised)
+    for module in (sequential, last_look):
+        monkeypatch.setattr(module, "MAX_SURVEYS", 2)
     got = found(cases, 0)
     assert got.stop_reason in {StopReason.TARGET_MET, StopReason.BUDGET_ENDED}
     assert Alarm.OUTCOMES_UNFORESEEN in got.alarms
@@ -317,11 +318,11 @@ def test_a_tighter_target_is_looked_at_anew(cases):
     """A look is for the target that was met, and for wider ones."""
     problem = partial(Problem, traffic=cases.standard_normal(2))
     looked = SimpleNamespace(surveyed_for=0.2, labels=SimpleNamespace(n=100))
-    assert sequential._surveyed(problem(relative_half_width=0.2), looked)
-    assert sequential._surveyed(problem(relative_half_width=0.3), looked)
-    assert not sequential._surveyed(problem(relative_half_width=0.1), looked)
+    assert last_look.surveyed(problem(relative_half_width=0.2), looked)
+    assert last_look.surveyed(problem(relative_half_width=0.3), looked)
+    assert not last_look.surveyed(problem(relative_half_width=0.1), looked)
     earlier = problem(relative_half_width=0.1, earlier_targets=((0.2, 101),))
-    assert sequential._surveyed(earlier, looked)
+    assert last_look.surveyed(earlier, looked)
 
 
 def test_a_campaign_that_looks_again_is_not_finished(cases):

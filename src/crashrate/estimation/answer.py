@@ -118,7 +118,7 @@ def _consequences(
 
 def _stop(problem: Problem, state: State, c: Combined, event: tuple[float, float]) -> StopReason:
     aimed = _target(problem, state, c, event)
-    if c.n_rounds >= MIN_ROUNDS and _narrow(problem, state, *aimed):
+    if c.n_rounds >= MIN_ROUNDS and narrow(problem, state, *aimed):
         return StopReason.TARGET_MET
     return StopReason.RUNNING
 
@@ -133,8 +133,8 @@ def _target(
     return aimed.mean, aimed.interval
 
 
-def _narrow(problem: Problem, state: State, estimate: float, around: tuple[float, float]) -> bool:
-    """Whether an interval around the estimate meets the target in force."""
+def narrow(problem: Problem, state: State, estimate: float, around: tuple[float, float]) -> bool:
+    """Whether the interval `around` the estimate meets the target in force."""
     half = (around[1] - around[0]) / 2
     return bool(estimate > 0 and half <= problem.target_at(state.labels.n) * estimate)
 
@@ -173,5 +173,5 @@ def outvoted(problem: Problem, state: State) -> bool:
     if state.encounters is None or len(state.rounds) < MIN_ROUNDS:
         return False
     c = combine(state.rounds, problem.confidence, state.least_inflation)
-    narrow = _narrow(problem, state, *_target(problem, state, c, (c.lower, c.upper)))
-    return narrow and state.encounters.speak_against(c.upper)
+    met = narrow(problem, state, *_target(problem, state, c, (c.lower, c.upper)))
+    return met and state.encounters.speak_against(c.upper)

@@ -14,7 +14,8 @@ import numpy as np
 from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.aiming import aim
 from crashrate.estimation.alarms import Alarm, StopReason
-from crashrate.estimation.answer import answer, doubts, first_idea, outvoted
+from crashrate.estimation.answer import answer, doubts, first_idea, narrow, outvoted
+from crashrate.estimation.beginning import N_POOL, begin, by_variables
 from crashrate.estimation.belief import Belief
 from crashrate.estimation.carried import carry
 from crashrate.estimation.consequences import expect
@@ -22,12 +23,12 @@ from crashrate.estimation.crude import crude
 from crashrate.estimation.direction import MAX_ROUNDS, towards, unclear
 from crashrate.estimation.encounters import Encounters, meet
 from crashrate.estimation.exact_bounds import exact_bounds, within
-from crashrate.estimation.exploration import Explored, explore, ordinary_is_safe
+from crashrate.estimation.exploration import explore, ordinary_is_safe
 from crashrate.estimation.following import look_closer
-from crashrate.estimation.hindsight import design, reconsider
+from crashrate.estimation.hindsight import design
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.leaving_out import check_left_out
+from crashrate.estimation.last_look import SURVEYS, last_look, surveyed
 from crashrate.estimation.probing import ask, vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import Round, measure
@@ -42,16 +43,14 @@ from crashrate.estimation.sizing import (
 )
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Query, Snapshot
-from crashrate.estimation.surveying import MAX_SURVEYS, first_survey, survey
-from crashrate.estimation.view import Standardiser, View, held, see
+from crashrate.estimation.surveying import MAX_SURVEYS, first_survey
+from crashrate.estimation.view import Standardiser, View, see
 from crashrate.sampling.pool import Density, draw_pool
 from crashrate.variables import FloatArray
 
 # random streams beside those of the rounds
-BEGINNING, ENCOUNTERS, SURVEYS, MORE = 2_000_000, 2_000_001, 2_000_002, 3_000_000
-FOLLOWING, LEFT_OUT = 4_000_000, 5_000_000
+ENCOUNTERS, MORE, FOLLOWING = 2_000_001, 3_000_000, 4_000_000
 N_LINES = 2  # two more than variables taught less of the edge than the rounds they would pay for
-N_POOL = 20_000
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
 Learner = Generator[Query, FloatArray, Snapshot]
@@ -65,7 +64,7 @@ def sequential(problem: Problem) -> Learner:
         if isinstance(found, Snapshot):
             return found
         explored = replace(explored, labels=found, ordinary=explored.ordinary[:0])
-    state, view = _begin(problem, explored), None
+    state, view = begin(problem, explored), None
     alarms = doubts(problem, state, None, (0.0, 1.0))
     snapshot = Snapshot(learned=state.labels.learned, alarms=alarms)
     while state.labels.n < problem.max_calls:
@@ -80,17 +79,8 @@ def sequential(problem: Problem) -> Learner:
         closer = yield from look_closer(problem, state, view, snapshot, rng)
         state = state if closer is state else _distrust(problem, closer, view)
         snapshot = answer(problem, state, view)
-        if snapshot.stop_reason is not StopReason.RUNNING:  # the last outcomes have their say first
-            fitted = _fit(state)
-            state = _reconsidered(state, *fitted)
-            snapshot = answer(problem, state, view)
-            if snapshot.stop_reason is not StopReason.RUNNING and not _surveyed(problem, state):
-                state = yield from _last_look(problem, state, snapshot, *fitted)
-                # where runs fail is known from the last ones too
-                view = view if state.labels.known.all() else _again(state, view, *_fit(state))
-                snapshot = answer(problem, state, view)
-                if snapshot.stop_reason is StopReason.RUNNING and state.n_surveys < MAX_SURVEYS:
-                    state = replace(state, surveyed_for=math.inf)
+        if snapshot.stop_reason is not StopReason.RUNNING:
+            state, view, snapshot = yield from _checked(problem, state, view)
         if outvoted(problem, state):
             # one crash among thirty encounters may be bad luck, or what the surrogate never saw:
             # more encounters tell, more rounds do not
@@ -101,33 +91,57 @@ def sequential(problem: Problem) -> Learner:
             snapshot = answer(problem, state, view)
         state = _directed(problem, state, snapshot)
         reached = snapshot.stop_reason is not StopReason.RUNNING
-        if reached and _surveyed(problem, state) and not state.members:
-            break
+        if reached and surveyed(problem, state) and not state.members:
+            bounded = _bounded(problem, state, snapshot)
+            if bounded.stop_reason is not StopReason.RUNNING:
+                return replace(bounded, belief=_belief(state))
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
-    else:
-        snapshot = _last_word(problem, state, view, snapshot)
+    snapshot = _last_word(problem, state, view, snapshot)
     return replace(_bounded(problem, state, snapshot), belief=_belief(state))
 
 
+def _checked(
+    problem: Problem, state: State, view: View
+) -> Generator[Query, FloatArray, tuple[State, View, Snapshot]]:
+    """An answer that may stand: the last outcomes have their say first, and a last look."""
+    fitted = state.fit()
+    state = state.reconsidered(*fitted)
+    snapshot = answer(problem, state, view)
+    if snapshot.stop_reason is StopReason.RUNNING or surveyed(problem, state):
+        return state, view, snapshot
+    state = yield from last_look(problem, state, snapshot, *fitted)
+    # where runs fail is known from the last ones too
+    view = view if state.labels.known.all() else _again(state, view, *state.fit())
+    snapshot = answer(problem, state, view)
+    if snapshot.stop_reason is StopReason.RUNNING and state.n_surveys < MAX_SURVEYS:
+        state = replace(state, surveyed_for=math.inf)
+    return state, view, snapshot
+
+
 def _bounded(problem: Problem, state: State, snapshot: Snapshot) -> Snapshot:
-    """With exact bounds, where they can be had."""
+    """With exact bounds, where they can be had; not at an end where they widen it too far."""
     exact = exact_bounds(problem, state.labels)
     if exact is None:
         return snapshot
     told = snapshot if state.labels.contradictions else within(snapshot, exact)
+    widened = told.interval != snapshot.interval and problem.aim_index is None
+    if widened and not narrow(problem, state, told.probability, told.interval):
+        reason = snapshot.stop_reason
+        running = reason is StopReason.TARGET_MET
+        told = replace(told, stop_reason=StopReason.RUNNING if running else reason)
     return replace(told, bounds=exact)
 
 
 def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snapshot) -> Snapshot:
     """What an ended budget leaves; the last outcomes have their say."""
     if view is not None:
-        surrogate, model = _fit(state)
+        surrogate, model = state.fit()
         # what was held of the last pool before may have been the mistake
         view = _again(state, view, surrogate, model)
-        snapshot = answer(problem, _reconsidered(state, surrogate, model), view)
+        snapshot = answer(problem, state.reconsidered(surrogate, model), view)
         if state.voided and not state.rounds:
             voided = replace(state, rounds=state.voided)
-            snapshot = first_idea(problem, _reconsidered(voided, surrogate, model), view)
+            snapshot = first_idea(problem, voided.reconsidered(surrogate, model), view)
     if snapshot.stop_reason is StopReason.TARGET_MET:
         snapshot = replace(snapshot, alarms=(*snapshot.alarms, Alarm.TARGET_UNCHECKED))
     return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
@@ -139,79 +153,9 @@ def _again(state: State, view: View, surrogate: Surrogate, model: Model) -> View
     return see(pool, state.labels, surrogate, model.standardise)
 
 
-def _last_look(
-    problem: Problem, state: State, snapshot: Snapshot, surrogate: Surrogate, model: Model
-) -> Generator[Query, FloatArray, State]:
-    """Look once more before the answer stands: first at what the order leaves out."""
-    if state.n_surveys < MAX_SURVEYS:
-        running = replace(snapshot, stop_reason=StopReason.RUNNING)
-        tested, whole = yield from _left_out(problem, state, running)
-        before, now = state.labels, tested.labels
-        if not whole or now.order is not before.order or now.contradictions > before.contradictions:
-            return tested  # with rounds to come, if the budget leaves any
-        state = tested
-    return (yield from _survey(problem, state, snapshot, surrogate, model))
-
-
-def _left_out(
-    problem: Problem, state: State, snapshot: Snapshot
-) -> Generator[Query, FloatArray, tuple[State, bool]]:
-    """See whether a variable that the order leaves out matters, and if so begin anew by variables.
-
-    And whether the budget let it look everywhere.
-    """
-    unit, rng = state.model.standardise.unit, problem.rng(LEFT_OUT + state.k)
-    labels, whole = yield from check_left_out(problem, state.labels, unit, rng, snapshot)
-    if labels.order is not state.labels.order:
-        return _by_variables(problem, state, labels), whole
-    contradicted = labels.contradictions > state.labels.contradictions
-    n_surveys = state.n_surveys + contradicted  # another look comes, as after a surprise
-    return replace(state, labels=labels, n_surveys=n_surveys), whole
-
-
-def _by_variables(problem: Problem, state: State, labels: Labels) -> State:
-    """Begun anew: the outcomes by variables, without an order."""
-    begun = _begun(problem, labels, labels.x[:0], state.proposal, problem.rng(BEGINNING))
-    return replace(begun, k=state.k, n_surveys=state.n_surveys, followed=state.followed)
-
-
-def _survey(
-    problem: Problem, state: State, snapshot: Snapshot, surrogate: Surrogate, model: Model
-) -> Generator[Query, FloatArray, State]:
-    """Look at places that no run came near; a surprise there voids what was estimated."""
-    rng, target = problem.rng(SURVEYS + 1 + state.n_surveys), problem.target_at(state.labels.n)
-    running = replace(snapshot, stop_reason=StopReason.RUNNING)
-    belief = Belief(state.labels, surrogate, model.standardise, state.proposal)
-
-    def rivals() -> tuple[Surrogate, ...]:
-        return model.rivals(state.labels, state.ordinary, directed=state.directed)
-
-    look = yield from survey(problem, belief, rivals, running, rng)
-    done = state.n_surveys + 1
-    state = replace(state, labels=look.labels, n_surveys=done, surprised=look.surprised)
-    ended = look.whole and (not look.surprised or done >= MAX_SURVEYS)
-    if ended or look.surprised:
-        state = replace(state, surveyed_for=target if ended else math.inf)
-    if look.surprised:
-        return replace(
-            state,
-            rounds=(),
-            voided=state.rounds,
-            voided_at=state.labels.n,
-            n_directed=0,
-            model=state.model.forgetting(),
-        )
-    return _reconsidered(state, *_fit(state)) if look.doubted else state
-
-
-def _surveyed(problem: Problem, state: State) -> bool:
-    """Whether the last look was for the target in force."""
-    return state.surveyed_for <= problem.target_at(state.labels.n)
-
-
 def _belief(state: State) -> Belief:
     """What all outcomes say, the last round's included."""
-    surrogate, model = _fit(state)
+    surrogate, model = state.fit()
     return Belief(state.labels, surrogate, model.standardise, state.proposal)
 
 
@@ -225,46 +169,13 @@ def _directed(problem: Problem, state: State, snapshot: Snapshot) -> State:
     return replace(state, members=members, n_directed=state.n_directed + 1)
 
 
-def _begin(problem: Problem, explored: Explored) -> State:
-    rng = problem.rng(BEGINNING)
-    ordinary = explored.most_dangerous(rng)
-    return _begun(problem, explored.labels, ordinary, explored.wide, rng)
-
-
-def _begun(
-    problem: Problem,
-    labels: Labels,
-    ordinary: FloatArray,
-    wide: Density,
-    rng: np.random.Generator,
-) -> State:
-    reach = labels.coordinates(_inside(problem, wide, rng))
-    standardise = Standardiser.weighted(reach, np.full(len(reach), 1 / len(reach)))
-    directed = labels.learned is not None
-    dropped = problem.order is not None and not directed
-    return State(
-        labels,
-        ordinary,
-        wide,
-        Model(standardise),
-        directed=directed,
-        dropped_at=labels.n if dropped else None,
-        begun_at=labels.n,
-    )
-
-
-def _inside(problem: Problem, wide: Density, rng: np.random.Generator) -> FloatArray:
-    x = wide.sample(N_POOL, rng)
-    return np.asarray(x[problem.traffic.contains(x)])
-
-
 def _round(
     problem: Problem, state: State, snapshot: Snapshot
 ) -> Generator[Query, FloatArray, tuple[State, View]]:
     """One round: see a fresh pool, choose runs from it, learn their outcomes."""
     rng = problem.rng(state.k)
-    surrogate, model = _fit(state)
-    state = _reconsidered(state, surrogate, model)
+    surrogate, model = state.fit()
+    state = state.reconsidered(surrogate, model)
     proposal = state.proposal
     # the first proposal is only inflated traffic, and the last round's was not for these members
     for _ in range(2 if state.k == 1 else bool(state.members)):
@@ -354,27 +265,11 @@ def _estimate(
     return labels, (*state.rounds, found)
 
 
-def _fit(state: State) -> tuple[Surrogate, Model]:
-    # learning again: the kernel was a bad choice, and would stay for another seventh of the runs
-    again = not state.ordered and state.learning and bool(state.rounds)
-    return state.model.fit(state.labels, state.ordinary, directed=state.directed, again=again)
-
-
-def _reconsidered(state: State, surrogate: Surrogate, model: Model) -> State:
-    """With the rounds' variances by what is known now."""
-    return replace(
-        state,
-        rounds=reconsider(
-            state.rounds, lambda u: held(u, state.labels, surrogate, model.standardise)[0]
-        ),
-    )
-
-
 def _distrust(problem: Problem, state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
     found = verdict(state.labels, state.model.standardise.unit)
     if found is not Verdict.STANDS and problem.left_out:  # they may be what it fails by
-        return _by_variables(problem, state, state.labels.by_variables())
+        return by_variables(problem, state, state.labels.by_variables())
     if found is not Verdict.STANDS:
         return replace(
             state,

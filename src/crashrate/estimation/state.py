@@ -1,13 +1,17 @@
 """What the default method knows between two rounds."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
+from crashrate.crash_set.surrogate import Surrogate
 from crashrate.estimation.direction import LEARNING_ROUNDS, Members
 from crashrate.estimation.encounters import Encounters
+from crashrate.estimation.hindsight import reconsider
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.rounds import MIN_INFLATION, Round
+from crashrate.estimation.view import held
 from crashrate.sampling.pool import Density
 from crashrate.variables import FloatArray
 
@@ -101,3 +105,18 @@ class State:
             return self.n_directed <= LEARNING_ROUNDS
         anew = [at + RELEARNING_RUNS for at in (self.dropped_at, self.voided_at) if at is not None]
         return self.labels.n < max(LEARNING_RUNS, self.begun_at + LATE_RUNS, *anew)
+
+    def fit(self) -> tuple[Surrogate, Model]:
+        """The surrogate of all outcomes so far."""
+        # learning again: the kernel was a bad choice, and would stay for another seventh of the
+        # runs
+        again = not self.ordered and self.learning and bool(self.rounds)
+        return self.model.fit(self.labels, self.ordinary, directed=self.directed, again=again)
+
+    def reconsidered(self, surrogate: Surrogate, model: Model) -> Self:
+        """With the rounds' variances by what is known now."""
+
+        def hold(u: FloatArray) -> FloatArray:
+            return held(u, self.labels, surrogate, model.standardise)[0]
+
+        return replace(self, rounds=reconsider(self.rounds, hold))
