@@ -7,6 +7,8 @@ from scipy.stats import norm
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import NumericalError
 from crashrate.estimation import exact_bounds as module
+from crashrate.estimation import sequential
+from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.exact_bounds import exact_bounds, within
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem, Snapshot
@@ -65,6 +67,19 @@ def test_no_estimate_is_moved_nowhere():
     told = within(Snapshot(), (1.9, 2.1))
     assert np.isnan(told.probability)
     assert told.interval == (0.0, 1.0)
+
+
+def test_an_interval_that_they_widen_beyond_the_target_ends_no_campaign(cases, monkeypatch, small):  # noqa: ARG001
+    case, options = cases.half_plane(1e-3), {"relative_half_width": 0.2, "max_calls": 120}
+    plain = case.estimate(**options)
+    assert plain.stop_reason is StopReason.TARGET_MET
+    beside = (0.5 * plain.interval[0], 0.6 * plain.interval[0])
+    monkeypatch.setattr(sequential, "exact_bounds", lambda *_: beside)
+    got = case.estimate(**options)
+    assert (got.stop_reason, got.n_calls) == (StopReason.BUDGET_ENDED, 120)
+    assert Alarm.TARGET_NOT_REACHED in got.alarms
+    assert got.interval[0] == beside[0]
+    assert got.interval[1] > case.probability
 
 
 def test_in_one_variable_estimates_lie_within_their_bounds(cases):

@@ -96,8 +96,7 @@ def sequential(problem: Problem) -> Learner:
             if bounded.stop_reason is not StopReason.RUNNING:
                 return replace(bounded, belief=_belief(state))
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
-    snapshot = _last_word(problem, state, view, snapshot)
-    return replace(_bounded(problem, state, snapshot), belief=_belief(state))
+    return replace(_last_word(problem, state, view, snapshot), belief=_belief(state))
 
 
 def _checked(
@@ -142,6 +141,7 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
         if state.voided and not state.rounds:
             voided = replace(state, rounds=state.voided)
             snapshot = first_idea(problem, voided.reconsidered(surrogate, model), view)
+    snapshot = _bounded(problem, state, snapshot)
     if snapshot.stop_reason is StopReason.TARGET_MET:
         snapshot = replace(snapshot, alarms=(*snapshot.alarms, Alarm.TARGET_UNCHECKED))
     return replace(snapshot, stop_reason=StopReason.BUDGET_ENDED)
