@@ -57,7 +57,7 @@ def test_numbers_whose_every_start_failed_are_told(selection, capsys):
 
 
 def model(**provenance):
-    law = TrafficModel([1.0], [[0.0]], [[[1.0]]], [0.0], [np.inf], "a")
+    law = TrafficModel([1.0], [[0.0]], [[[1.0]]], [0.0], [np.inf], ["a"])
     alone = {"n_components": [1], "bic": [1.0], "left_out": []}
     return replace(law, provenance={"selection": alone, **provenance})
 

@@ -4,6 +4,7 @@ A table (n, 1 + K): the event (1, 0, or NaN where the simulation failed), then K
 numbers in [0, 1] that are 0 where the event did not happen.
 """
 
+import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeAlias
 
@@ -60,7 +61,12 @@ def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
             f"tell: expected {_outcomes(n)}, got a mapping; declare "
             "what it holds beside the event, as in consequences=('injury',)."
         )
-    array = np.asarray(told)
+    try:
+        array = np.asarray(told)
+    except ValueError:
+        raise InvalidInputError(
+            f"tell: expected {_outcomes(n)}, got {reprlib.repr(told)}, of unequal lengths."
+        ) from None
     if array.shape != (n,):
         raise InvalidInputError(f"tell: expected {_outcomes(n)}, got {what_came(array)}.")
     if array.dtype.kind not in "biuf":

@@ -1,6 +1,7 @@
 """Names, units, bounds and directions of the variables that describe an event."""
 
 import math
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -123,9 +124,10 @@ def as_rows(x: npt.ArrayLike, n_columns: int, what: str = "x") -> FloatArray:
     Raises
     ------
     InvalidInputError
-        If the shape is another, or a value is not finite: the message gives the first one.
+        If the shape is another, or a value is no number or not finite: the message gives the first
+        one.
     """
-    rows = np.asarray(x, dtype=np.float64)
+    rows = numbers(x, what)
     if rows.ndim != 2 or rows.shape[1] != n_columns:
         raise InvalidInputError(
             f"{what}: expected an array of shape (n, {n_columns}), got {rows.shape}."
@@ -139,6 +141,22 @@ def as_rows(x: npt.ArrayLike, n_columns: int, what: str = "x") -> FloatArray:
             f"column {column} ({len(bad)} such values)."
         )
     return rows
+
+
+def numbers(values: npt.ArrayLike, what: str) -> FloatArray:
+    """`values` as an array of floats.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are no numbers, or nested unevenly.
+    """
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidInputError(
+            f"{what}: expected numbers, rows of them equally long, got {reprlib.repr(values)}."
+        ) from None
 
 
 def frozen(values: npt.ArrayLike, dtype: Any = np.float64) -> npt.NDArray[Any]:

@@ -73,6 +73,7 @@ def test_ask_when_done_names_the_remedy(case):
     [
         ([], "expected 1 outcome"),
         ([0, 1], r"expected 1 outcome.*\(2,\)"),
+        ([0, [1, 0]], r"expected 1 outcome.*got \[0, \[1, 0\]\], of unequal lengths"),
         ([[0]], r"got shape \(1, 1\)"),
         ([0.5], r"got 0\.5 at row 0"),
         ([-1], r"True, False or NaN"),

@@ -26,7 +26,7 @@ EXACT = norm.sf(LEVEL - np.array([across for across, _ in PLACES]))
 
 def member(across, along):
     mean = np.array([[across + along, across - along]]) / math.sqrt(2)
-    return TrafficModel([1.0], mean, np.eye(2)[None], [-np.inf] * 2, [np.inf] * 2, "ab")
+    return TrafficModel([1.0], mean, np.eye(2)[None], [-np.inf] * 2, [np.inf] * 2, ["a", "b"])
 
 
 def family(places=PLACES):

@@ -135,7 +135,7 @@ def test_members_are_kept_by_files_and_checked():
     again = TrafficModel.from_json(model.to_json())
     assert again == model
     assert again.members == model.members
-    other = TrafficModel([1.0], [[0.0]], [[[1.0]]], [1.0], [9.0], "a")
+    other = TrafficModel([1.0], [[0.0]], [[[1.0]]], [1.0], [9.0], ["a"])
     with pytest.raises(InvalidInputError, match=r"members\[0\]: expected the lower"):
         TrafficModel([1.0], [[0.0]], [[[1.0]]], [0.0], [9.0], "a", members=[other])
 

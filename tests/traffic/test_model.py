@@ -143,6 +143,8 @@ def test_json_that_is_not_a_model_is_refused(tmp_path):
             TrafficModel.from_json(text)
     with pytest.raises(InvalidInputError, match=r"no\.json.*expected a JSON file"):
         TrafficModel.from_json(tmp_path / "no.json")
+    with pytest.raises(InvalidInputError, match=r"got dict; json\.dumps"):
+        TrafficModel.from_json({})
 
 
 @pytest.mark.parametrize(
@@ -160,6 +162,13 @@ def test_json_that_is_not_a_model_is_refused(tmp_path):
         ({"lower": [4.0, 0.0]}, "variable 'speed': expected lower < upper"),
         ({"means": [[0.0, 1.0], [3.0, 90.0]]}, "component 1: .*log probability"),
         ({"provenance": {"when": object()}}, "that JSON can hold"),
+        (
+            {"means": [[0.0, 1.0], [3.0]]},
+            r"means: expected numbers, rows .* got \[\[0.0, 1.0\], \[3",
+        ),
+        ({"weights": ["a", "b"]}, r"weights: expected numbers.*got \['a', 'b'\]"),
+        ({"names": "ab"}, "expected a list of names.*the text 'ab'"),
+        ({"members": [1]}, r"members\[0\]: expected a traffic model, got int"),
     ],
 )
 def test_bad_models_are_refused(changes, words):
@@ -169,6 +178,8 @@ def test_bad_models_are_refused(changes, words):
 
 def test_bad_rows_and_boxes_are_refused():
     model = two_components()
+    with pytest.raises(InvalidInputError, match=r"x: expected numbers.*got \[\['a', 'b'\]\]"):
+        model.log_density([["a", "b"]])
     with pytest.raises(InvalidInputError, match=r"\(n, 2\), got \(3,\)"):
         model.log_density([1.0, 2.0, 3.0])
     with pytest.raises(InvalidInputError, match="row 0, column 1"):
@@ -179,6 +190,12 @@ def test_bad_rows_and_boxes_are_refused():
         model.box_probability([1.0, np.nan], [1.0, 2.0])
     with pytest.raises(InvalidInputError, match="as many boxes"):
         model.box_probability(np.zeros((2, 2)), np.ones((3, 2)))
+
+
+@pytest.mark.parametrize("n", [-1, 10.5, "ten", True, None])
+def test_numbers_of_draws_that_are_none_are_refused(n):
+    with pytest.raises(InvalidInputError, match="n: expected a whole number of draws >= 0, got "):
+        two_components().sample(n)
 
 
 def test_weights_are_normalised_only_where_they_have_to_be():

@@ -112,7 +112,8 @@ class Alarm(StrEnum):
     )
     ALL_FAILED = (
         "every simulation failed: run the simulator on one of the situations that were asked for "
-        "and look at what it returns; NaN says that it failed"
+        "and look at what it returns; NaN says that it failed. A run folder keeps these outcomes: "
+        "begin in another one once the simulator is mended"
     )
     TARGET_NOT_REACHED = "the budget ended before the target was reached"
     TARGET_UNCHECKED = (

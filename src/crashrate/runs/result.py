@@ -20,8 +20,10 @@ def is_synthetic(traffic: TrafficModel) -> bool:
     return bool(_events(traffic).get("synthetic", False))
 
 
-def result_dict(estimate: Estimate, scenario: Scenario, problem: Problem) -> dict[str, Any]:
-    """What `result.json` holds."""
+def result_dict(
+    estimate: Estimate, scenario: Scenario, problem: Problem, n_members: int
+) -> dict[str, Any]:
+    """What `result.json` holds; `n_members` are the traffic model's, used by the method or not."""
     traffic = problem.traffic
     return estimate.to_dict(scenario.outcome.per) | {
         "sentence": estimate.sentence(scenario.outcome.event, scenario.outcome.per),
@@ -34,7 +36,7 @@ def result_dict(estimate: Estimate, scenario: Scenario, problem: Problem) -> dic
         "traffic": {
             "variables": list(traffic.names),
             "n_components": traffic.n_components,
-            "n_members": 0 if problem.ensemble is None else len(problem.ensemble.members),
+            "n_members": n_members,
             "events": {k: v for k, v in _events(traffic).items() if k != "sample"},
         },
         "synthetic": is_synthetic(traffic),

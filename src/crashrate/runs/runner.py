@@ -381,7 +381,8 @@ def _write(
     """Write the result; the estimate with the alarms that the recordings raise."""
     found = found or found_before(sitting.directory, estimate)
     estimate = doubted(estimate, sitting.traffic, found)
-    result = result_dict(estimate, sitting.scenario, sitting.campaign.problem)
+    problem, n_members = sitting.campaign.problem, len(sitting.traffic.members)
+    result = result_dict(estimate, sitting.scenario, problem, n_members)
     result["recordings"] = entry(found, estimate, unchecked or sitting.unchecked)
     if text := sitting.store.config().get(VOUCHED):
         result["vouched_sources"] = json.loads(text)

@@ -13,7 +13,9 @@ import numpy.typing as npt
 from crashrate.errors import InvalidInputError
 from crashrate.traffic.log_mixture import LogMixture
 from crashrate.traffic.model_checks import (
+    check_draws,
     checked_members,
+    checked_names,
     checked_shapes,
     checked_weights,
     json_provenance,
@@ -22,7 +24,7 @@ from crashrate.traffic.model_json import from_document, to_document
 from crashrate.traffic.sampling import TruncatedNormals
 from crashrate.traffic.scales import Scales
 from crashrate.traffic.truncated_normal import box_moments, log_box_probability
-from crashrate.variables import FloatArray, as_rows, frozen
+from crashrate.variables import FloatArray, as_rows, frozen, numbers
 
 # A component that puts less than this in the box is a numerical accident, not a fit.
 _MIN_LOG_MASS = -690.0  # 1e-300
@@ -94,9 +96,9 @@ class TrafficModel:
     _high: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._set(names=tuple(self.names), provenance=json_provenance(self.provenance))
+        self._set(names=checked_names(self.names), provenance=json_provenance(self.provenance))
         for name in ("weights", "means", "covariances", "lower", "upper"):
-            self._set(**{name: frozen(getattr(self, name))})
+            self._set(**{name: frozen(numbers(getattr(self, name), name))})
         if not isinstance(self.scales, Scales):
             self._set(scales=Scales.parse(self.scales, len(self.names)))
         checked_shapes(self)
@@ -172,10 +174,9 @@ class TrafficModel:
         Raises
         ------
         InvalidInputError
-            If n is negative.
+            If n is no whole number, or negative.
         """
-        if n < 0:
-            raise InvalidInputError(f"n: expected a number of draws >= 0, got {n}.")
+        check_draws(n)
         generator = np.random.default_rng(rng)
         x, _ = self.sample_components(n, generator)
         return np.asarray(x[generator.permutation(n)])  # rows shuffled in place take twice as long

@@ -2,7 +2,7 @@
 
 import copy
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +19,6 @@ _ROUNDING = 1e-12
 
 def checked_shapes(model: "TrafficModel") -> None:
     """Refuse names, shapes, sides and covariances that are not those of a mixture on a box."""
-    _check_names(model.names)
     k, d = len(np.atleast_1d(model.weights)), len(model.names)
     expected = {"weights": (k,), "means": (k, d), "covariances": (k, d, d)}
     expected |= {"lower": (d,), "upper": (d,)}
@@ -40,6 +39,10 @@ def checked_shapes(model: "TrafficModel") -> None:
 def checked_members(model: "TrafficModel") -> None:
     """Refuse members of other variables, another box or other scales."""
     for i, member in enumerate(model.members):
+        if not isinstance(member, type(model)):
+            raise InvalidInputError(
+                f"members[{i}]: expected a traffic model, got {type(member).__name__}."
+            )
         for name in ("names", "scales", "lower", "upper"):
             expected, got = getattr(model, name), getattr(member, name)
             if not np.array_equal(expected, got):
@@ -48,7 +51,19 @@ def checked_members(model: "TrafficModel") -> None:
                 )
 
 
-def _check_names(names: tuple[str, ...]) -> None:
+def check_draws(n: object) -> None:
+    """Refuse a number of draws that is none."""
+    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
+        raise InvalidInputError(f"n: expected a whole number of draws >= 0, got {n!r}.")
+
+
+def checked_names(given: Iterable[str]) -> tuple[str, ...]:
+    """The variables' names, each once."""
+    if isinstance(given, str):
+        raise InvalidInputError(
+            f"names: expected a list of names, such as ['v_lead'], got the text {given!r}."
+        )
+    names = tuple(given)
     if not names:
         raise InvalidInputError("names: expected at least one variable, got none.")
     for name in names:
@@ -58,6 +73,7 @@ def _check_names(names: tuple[str, ...]) -> None:
             )
     if len(set(names)) < len(names):
         raise InvalidInputError(f"names: expected each name once, got {', '.join(names)}.")
+    return names
 
 
 def _check_sides(model: "TrafficModel") -> None:

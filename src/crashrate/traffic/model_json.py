@@ -65,6 +65,11 @@ def _read(text_or_path: str | Path) -> tuple[str, str]:
     """The text, and what to call its place in an error."""
     if isinstance(text_or_path, str) and text_or_path.lstrip().startswith("{"):
         return text_or_path, "traffic model"
+    if not isinstance(text_or_path, (str, Path)):
+        raise InvalidInputError(
+            f"traffic model: expected JSON text or the path of a file of it, got "
+            f"{type(text_or_path).__name__}; json.dumps makes text of a dictionary."
+        )
     path = Path(text_or_path)
     try:
         return path.read_text(encoding="utf-8"), str(path)

@@ -32,8 +32,8 @@ def answers_panel(estimate: Estimate, check: Check | None) -> Panel:
         return Panel(
             "answers",
             _TITLE,
-            "There is nothing to compare with: the traffic model has no further fits, and its "
-            "events were not at hand.",
+            "There is nothing to compare with: no further fits of the traffic model were told of, "
+            "and its events were not at hand.",
         )
     caption = (
         "The interval of this run holds Monte Carlo error alone. The other lines say how much the "
