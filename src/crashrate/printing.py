@@ -41,19 +41,23 @@ def print_result(result: dict[str, Any], output: Format) -> None:
 def _print_answers(result: Mapping[str, Any]) -> None:
     """What was aimed at, the event's probability, what else it leads to, and what was found."""
     consequences = result.get("consequences", ())
-    for consequence in consequences:
-        if consequence["aimed"]:
-            typer.echo(consequence["sentence"])
+    _print_consequences([c for c in consequences if c["aimed"]])
     typer.echo(result["sentence"])
-    for consequence in consequences:
-        if not consequence["aimed"]:
-            typer.echo(consequence["sentence"])
+    _print_consequences([c for c in consequences if not c["aimed"]])
     if audit := result.get("order_audit"):
         typer.echo(audit["sentence"])
     if traffic_range := result.get("traffic_range"):
         typer.echo(traffic_range["sentence"])
     for sentence in (result.get("recordings") or {}).get("sentences", ()):
         typer.echo(sentence)
+
+
+def _print_consequences(found: Iterable[Mapping[str, Any]]) -> None:
+    """Each with what the traffic models make of it, where the runs determine it."""
+    for consequence in found:
+        typer.echo(consequence["sentence"])
+        if (among := consequence.get("traffic_range")) and consequence["determined"]:
+            typer.echo(among["sentence"])
 
 
 def _print_doubts(result: Mapping[str, Any]) -> None:

@@ -173,10 +173,43 @@ def test_with_members_the_average_is_meant(go, cases, small, check_coverage):  #
             max_calls=300,
             seed=seed,
         )
-        for seed in range(4)
+        for seed in range(8)
     ]
-    assert all(len(e.traffic_range.probabilities) == 2 for e in found)
-    check_coverage([e.consequences[0].interval for e in found], (depth(1.0) + depth(1.2)) / 2)
+    aimed = [e.consequences[0] for e in found]
+    check_coverage([c.interval for c in aimed], (depth(1.0) + depth(1.2)) / 2)
+    for k, sd in enumerate((1.0, 1.2)):
+        told = [
+            (c.traffic_range.probabilities[k], c.traffic_range.standard_errors[k]) for c in aimed
+        ]
+        ends = [(p - 2.3 * error, p + 2.3 * error) for p, error in told]  # 95 % by Student's t
+        check_coverage(ends, depth(sd))
+        with pytest.raises(AssertionError, match="intervals hold"):
+            check_coverage(ends, depth(2.2 - sd))  # the other's
+    # the crash itself is another number, and has its own
+    assert all(
+        e.traffic_range.probabilities > e.consequences[0].traffic_range.probabilities for e in found
+    )
+    said = found[0].to_dict()["consequences"][0]["traffic_range"]["sentence"]
+    assert said.startswith("traffic models, E(depth): ")
+    assert "whose mean is the expectation above" in said
+
+
+def test_traffic_models_that_disagree_on_what_is_aimed_at_raise_an_alarm(cases, small):  # noqa: ARG001
+    """They agree on the crash: only how deep it goes differs."""
+    one = cases.standard_normal(2)
+    shifted = replace(one, means=np.add(one.means, [[2.5, -2.5]]))
+    options = {"risk": cases.increasing(2), "consequences": ["side"], "relative_half_width": 0.3}
+
+    def simulate(x):
+        crash = x.sum(axis=1) > math.sqrt(2) * LEVEL
+        return np.column_stack([crash, crash & (x[:, 0] < x[:, 1] - 1.5)])
+
+    both = replace(one, members=(one, shifted))
+    event, aimed = (estimate(simulate, both, **options, aim=aim) for aim in (None, "side"))
+    assert Alarm.TRAFFIC_UNDETERMINED not in event.alarms
+    assert Alarm.TRAFFIC_UNDETERMINED in aimed.alarms
+    alone = estimate(simulate, replace(one, members=(one, one)), **options, aim="side")
+    assert Alarm.TRAFFIC_UNDETERMINED not in alone.alarms
 
 
 def test_a_mapping_is_told_like_an_array(go):

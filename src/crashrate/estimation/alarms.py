@@ -57,9 +57,9 @@ class Alarm(StrEnum):
         "crash, and takes the columns in their order and units"
     )
     TRAFFIC_UNDETERMINED = (
-        "the events do not determine the probability: traffic models that fit them about as well, "
-        "or a model fitted to other events of the same traffic, would give another by more than a "
-        "factor of two"
+        "the events do not determine the probability, or what is aimed at: traffic models that fit "
+        "them about as well, or a model fitted to other events of the same traffic, would give "
+        "another by more than a factor of two"
     )
     MEMBERS_UNDETERMINED = (
         "some of the traffic models put their crashes where the simulator runs have seen too "

@@ -4,6 +4,7 @@ The rounds' own interval is widened where something else says that it must be: r
 or too few hits, or an estimate that has not settled.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from crashrate.estimation.rounds import (
 )
 from crashrate.estimation.state import State
 from crashrate.estimation.strategy import Problem, Snapshot
+from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.trust import Trust, trust
 from crashrate.estimation.view import View
 from crashrate.estimation.within_unit import within_unit
@@ -44,6 +46,8 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
     n_runs = sum(r.n_runs for r in rounds)
     lower, upper = _with_failing(c, view)
     around = lower, max(upper, trust(problem, state, c, bounds[1]).limit)
+    consequences = _consequences(problem, state, c, around)
+    ranges = [c.members, *(e.traffic_range for e in consequences if e.aimed)]
     return replace(
         start,
         probability=c.estimate,
@@ -53,8 +57,8 @@ def answer(problem: Problem, state: State, view: View) -> Snapshot:
         largest_weight_share=c.largest_share,
         log_efficiency=log_efficiency(c, n_runs),
         traffic_range=c.members,
-        consequences=_consequences(problem, state, c, around),
-        alarms=doubts(problem, state, c, bounds),
+        consequences=consequences,
+        alarms=doubts(problem, state, c, bounds) + _open_by_models(ranges),
         phase="estimate",
         stop_reason=_stop(problem, state, c, around),
     )
@@ -155,15 +159,19 @@ def doubts(
         Alarm.OUTCOMES_UNFORESEEN: state.surprised,
         Alarm.SCATTER_BEYOND_PREDICTION: c is not None and c.scatter > SCATTER_LIMIT,
         Alarm.WEIGHTS_CONCENTRATED: c is not None and c.largest_share > SHARE_LIMIT,
-        Alarm.TRAFFIC_UNDETERMINED: (
-            c is not None and c.members is not None and c.members.undetermined
-        ),
-        Alarm.MEMBERS_UNDETERMINED: (
-            c is not None and c.members is not None and c.members.n_undetermined > 0
-        ),
         Alarm.UNDECIDED_MASS_LARGE: (
             c is not None and state.ordered and bounds[1] > UNDECIDED_LIMIT * c.estimate
         ),
+    }
+    return tuple(alarm for alarm, is_raised in raised.items() if is_raised)
+
+
+def _open_by_models(ranges: Iterable[TrafficRange | None]) -> tuple[Alarm, ...]:
+    """What the traffic models leave open of the probability, and of what is aimed at."""
+    told = [r for r in ranges if r is not None]
+    raised = {
+        Alarm.TRAFFIC_UNDETERMINED: any(r.undetermined for r in told),
+        Alarm.MEMBERS_UNDETERMINED: any(r.n_undetermined > 0 for r in told),
     }
     return tuple(alarm for alarm, is_raised in raised.items() if is_raised)
 

@@ -49,7 +49,7 @@ def _carried(view: View, held: Moments, drawn: Drawn, y: FloatArray, z: FloatArr
     factor = view.weights[drawn.rows] * drawn.factors
     event, spread = factor * (y == 1), view.weights * held.deviation
     return Carried(
-        corrected(view, held.mean, np.where(view.failing, 0.0, spread), drawn, z)[0],
+        corrected(view, held.mean, np.where(view.failing, 0.0, spread), drawn, z),
         events=float(event.sum()),
         squares=float(event @ event),
         carried=float(event @ np.nan_to_num(z)),
@@ -97,6 +97,7 @@ def together(
         n_carrying=n_carrying,
         largest_weight_share=c.largest_share,
         aimed=aimed,
+        traffic_range=c.members,
     )
 
 

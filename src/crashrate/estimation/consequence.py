@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from crashrate.estimation.alarms import SHARE_LIMIT
+from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.width import width_text
 
 MIN_N_EFF = 5.0  # below it, the runs do not determine a consequence
@@ -33,6 +34,8 @@ class Consequence:
         Share of `mean` that hangs on the most influential simulator run.
     aimed : bool
         Whether the campaign's target was for this number.
+    traffic_range : TrafficRange or None
+        The expectation under each of the traffic model's members; None where it has none.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Consequence:
     n_carrying: int
     largest_weight_share: float
     aimed: bool = False
+    traffic_range: TrafficRange | None = None
 
     @property
     def half_width(self) -> float:
@@ -85,4 +89,5 @@ class Consequence:
             "relative_half_width": self.relative_half_width,
             "determined": self.determined,
             "sentence": self.sentence(per),
+            "traffic_range": self.traffic_range and self.traffic_range.to_dict(self.name),
         }

@@ -138,11 +138,17 @@ def _as_known(then: Round, probability: float, variance: float) -> Round:
     variance = float(at_least(variance, probability))
     by, share = variance / then.variance, probability / max(then.predicted, TINY)
     worse = max(by, 1.0)
-    members = then.members and replace(then.members, variances=worse * then.members.variances)
     consequences = tuple(
-        replace(c, round=_scaled(c.round, worse, share)) for c in then.consequences
+        replace(c, round=_doubted(_scaled(c.round, worse, share), worse)) for c in then.consequences
     )
-    return replace(_scaled(then, by, share), members=members, consequences=consequences, then=then)
+    found = _doubted(_scaled(then, by, share), worse)
+    return replace(found, consequences=consequences, then=then)
+
+
+def _doubted(r: Round, worse: float) -> Round:
+    """With members so much less sure."""
+    members = r.members and replace(r.members, variances=worse * r.members.variances)
+    return replace(r, members=members)
 
 
 def _scaled(r: Round, by: float, share: float) -> Round:

@@ -115,15 +115,14 @@ class Round:
 
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     """The round in which `drawn` had `outcomes` (k,): 1, 0, or NaN for a failed simulation."""
-    found, moved = corrected(view, view.h, view.spread, drawn, outcomes)
-    members = _under_members(view, drawn, moved)
-    return replace(found, members=members, hits=count(view, drawn, outcomes))
+    found = corrected(view, view.h, view.spread, drawn, outcomes)
+    return replace(found, hits=count(view, drawn, outcomes))
 
 
 def corrected(
     view: View, held: FloatArray, spread: FloatArray, drawn: Drawn, values: FloatArray
-) -> tuple[Round, FloatArray]:
-    """The round in which `drawn` had `values`, and what each run (k,) moved it by.
+) -> Round:
+    """The round in which `drawn` had `values`.
 
     Parameters
     ----------
@@ -142,7 +141,7 @@ def corrected(
     predicted, of_pool = float(view.weights @ held), view.variance_of(held)
     drawing = float(spread**2 @ drawn.mean_squares)
     estimate = predicted + float(moved.sum())
-    found = Round(
+    return Round(
         n_runs=len(rows),
         estimate=estimate,
         lowest=estimate + least - float(failing @ held),
@@ -152,8 +151,8 @@ def corrected(
         variance=float(at_least(drawing + of_pool, predicted)),
         squares=float(moved @ moved) + of_pool,
         largest=float(np.abs(moved).max()),
+        members=_under_members(view, held, spread, drawn, moved),
     )
-    return found, moved
 
 
 def at_least(variance: Values, predicted: Values) -> FloatArray:
@@ -161,18 +160,20 @@ def at_least(variance: Values, predicted: Values) -> FloatArray:
     return np.maximum(variance, np.maximum((CERTAIN * np.asarray(predicted)) ** 2, TINY))
 
 
-def _under_members(view: View, drawn: Drawn, moved: FloatArray) -> Sums | None:
+def _under_members(
+    view: View, held: FloatArray, spread: FloatArray, drawn: Drawn, moved: FloatArray
+) -> Sums | None:
     """The same sums with each member's weights instead."""
     if (ratios := view.pool.ratios) is None:
         return None
-    part, drawn_ratios = view.weights * view.h, ratios[drawn.rows]
+    part, drawn_ratios = view.weights * held, ratios[drawn.rows]
     predicted = part @ ratios
-    spread = view.spread**2 * drawn.mean_squares
+    drawing = (spread**2 * drawn.mean_squares) @ ratios**2
     pool = np.maximum((part**2) @ ratios**2 - predicted**2 / view.pool.n_drawn, 0.0)
     return Sums(
         estimates=predicted + moved @ drawn_ratios,
         predicted=predicted,
-        variances=at_least(spread @ ratios**2 + pool, predicted),
+        variances=at_least(drawing + pool, predicted),
         squares=moved**2 @ drawn_ratios**2 + pool,
     )
 

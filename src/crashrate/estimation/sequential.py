@@ -165,7 +165,9 @@ def _directed(problem: Problem, state: State, snapshot: Snapshot) -> State:
     whole = problem.max_calls - state.labels.n >= size(problem, state)
     if snapshot.stop_reason is StopReason.RUNNING or not whole or state.n_directed == MAX_ROUNDS:
         return replace(state, members=())
-    members = unclear(snapshot.traffic_range)
+    k = problem.aim_index
+    aimed = snapshot if k is None else snapshot.consequences[k]
+    members = unclear(aimed.traffic_range)
     return replace(state, members=members, n_directed=state.n_directed + 1)
 
 

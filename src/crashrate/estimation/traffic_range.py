@@ -15,7 +15,9 @@ MIN_N_EFF = 5.0  # of a member whose own estimate counts as one
 
 @dataclass(frozen=True, eq=False)
 class TrafficRange:
-    """The crash probability under each of M traffic models, from one set of runs.
+    """The crash probability, or a consequence's expectation, under each of M traffic models.
+
+    From one set of runs.
 
     Parameters
     ----------
@@ -81,25 +83,24 @@ class TrafficRange:
         """Whether the events leave the probability open by more than a factor of two."""
         return not self.log_deviation <= UNDETERMINED
 
-    def sentence(self) -> str:
-        """The range in one sentence."""
+    def sentence(self, consequence: str = "") -> str:
+        """The range in one sentence; of a consequence's expectation where its name is given."""
+        what = "expectation" if consequence else "probability"
+        head = f"traffic models, E({consequence})" if consequence else "traffic models"
         m = len(self.probabilities)
         low, middle, high = self.quantiles
         if math.isnan(middle):
-            return (
-                f"traffic models: {m} fits to the recordings, too few of them determined by the "
-                "runs"
-            )
+            return f"{head}: {m} fits to the recordings, too few of them determined by the runs"
         least, half = (f"{q:.1e}" if q > 0 else "not determined" for q in (low, middle))
         text = (
             f"{m} fits to the recordings give {least} … {half} … {high:.1e} (5, 50, 95 %), "
-            "whose mean is the probability above"
+            f"whose mean is the {what} above"
         )
         if n := self.n_undetermined:
             text += f"; {n} of them {'is' if n == 1 else 'are'} not determined by the runs"
-        return f"traffic models: {self._verdict()}{text}"
+        return f"{head}: {self._verdict(what)}{text}"
 
-    def _verdict(self) -> str:
+    def _verdict(self, what: str) -> str:
         """What the range means, before its numbers: a reader in a hurry stops there."""
         if not self.undetermined:
             return ""
@@ -109,12 +110,12 @@ class TrafficRange:
         factor = max(*told, high / middle, middle / low)
         factor = min(factor, math.exp(3 * self.log_deviation))  # one member may be anywhere
         return (
-            "the recordings do not determine this probability better than a factor "
+            f"the recordings do not determine this {what} better than a factor "
             f"{factor:.0f} either way: "
         )
 
-    def to_dict(self) -> dict[str, object]:
-        """As JSON-ready values."""
+    def to_dict(self, consequence: str = "") -> dict[str, object]:
+        """As JSON-ready values; `consequence` as of `sentence`."""
         return {
             "probabilities": list(self.probabilities),
             "standard_errors": list(self.standard_errors),
@@ -123,5 +124,5 @@ class TrafficRange:
             "quantiles": list(self.quantiles),
             "log_deviation": self.log_deviation,
             "n_undetermined": self.n_undetermined,
-            "sentence": self.sentence(),
+            "sentence": self.sentence(consequence),
         }

@@ -6,6 +6,7 @@ from typing import Any
 
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.estimate import Estimate, in_words
+from crashrate.estimation.traffic_range import TrafficRange
 from crashrate.estimation.width import width_text
 from crashrate.reports.numbers import (
     MISSING,
@@ -60,7 +61,7 @@ def _answer(record: RunRecord, e: Estimate) -> tuple[Fact, ...]:
             "Made to hold the probability in that share of campaigns, for this traffic model and "
             "this simulator; what an alarm doubts may be outside it.",
         ),
-        *_traffic_range(e),
+        *_traffic_ranges(e),
         *_replay(record),
         Fact(
             "Bounds",
@@ -106,20 +107,22 @@ def _order_audit(e: Estimate) -> tuple[Fact, ...]:
     )
 
 
-def _traffic_range(e: Estimate) -> tuple[Fact, ...]:
-    found = e.traffic_range
-    if found is None:
-        return ()
+def _traffic_ranges(e: Estimate) -> tuple[Fact, ...]:
+    """Of the probability, and of what is aimed at."""
+    aimed = ((f"E({c.name})", c.traffic_range) for c in e.consequences if c.aimed)
+    told = [("probability", e.traffic_range), *aimed]
+    return tuple(_traffic_range(what, found) for what, found in told if found is not None)
+
+
+def _traffic_range(what: str, found: TrafficRange) -> Fact:
     low, middle, high = found.quantiles
-    return (
-        Fact(
-            "Traffic models",
-            f"{power_of_ten(low)} … {power_of_ten(middle)} … {power_of_ten(high)}"
-            if is_number(middle)
-            else "not determined",
-            f"5, 50 and 95 % of the probability under {len(found.probabilities)} fits that the "
-            "events allow; the probability above is their mean.",
-        ),
+    return Fact(
+        "Traffic models" if what == "probability" else f"Traffic models, {what}",
+        f"{power_of_ten(low)} … {power_of_ten(middle)} … {power_of_ten(high)}"
+        if is_number(middle)
+        else "not determined",
+        f"5, 50 and 95 % of the {what} under {len(found.probabilities)} fits that the events "
+        "allow; the answer is their mean.",
     )
 
 

@@ -75,6 +75,7 @@ def _consequence(found: Mapping[str, Any]) -> Consequence:
         n_carrying=_count(found, "n_carrying"),
         largest_weight_share=number(found, "largest_weight_share"),
         aimed=bool(found["aimed"]),
+        traffic_range=_range(found.get("traffic_range")),
     )
 
 
