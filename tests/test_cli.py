@@ -276,7 +276,8 @@ def test_json_is_pure_and_the_same_everywhere(small, quick):
     stored = json.loads((small / "run" / "result.json").read_text())
     shown = json.loads(crashrate("status", small / "run", "--format", "json").stdout)
     assert done == stored
-    assert shown == stored | {"running": False}
+    assert shown.pop("seconds_since_stored") >= 0
+    assert shown == stored | {"running": False, "n_stored": stored["n_calls"]}
     assert done["schema"] == "crashrate.result/1"
     assert done["alarms"][0]["name"] == "WEIGHTS_CONCENTRATED"
 
@@ -328,6 +329,17 @@ def test_status_of_an_unfinished_run_says_how_to_go_on(small, quick, monkeypatch
         assert small_run(small).exit_code == 130
     shown = crashrate("status", small / "run")
     assert "Not finished; the same `run` command goes on." in shown.stderr
+
+
+def test_status_counts_what_is_stored_though_the_result_is_older(small, quick):
+    del quick
+    assert small_run(small).exit_code == 3
+    path = small / "run" / "result.json"
+    older = json.loads(path.read_text()) | {"n_calls": 8}
+    path.write_text(json.dumps(older))  # as a process that is killed leaves it
+    shown = crashrate("status", small / "run")
+    assert " runs taken. The answer above is of the first 8 of them." in shown.stderr
+    assert json.loads(crashrate("status", small / "run", "--format", "json").stdout)["n_stored"] > 8
 
 
 def test_run_folder_that_is_a_file_is_refused_in_plain_words(small):

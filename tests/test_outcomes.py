@@ -5,6 +5,7 @@ import pytest
 
 from crashrate.errors import InvalidInputError, SimulationError
 from crashrate.outcomes import consequence_names, outcome_table, told_table
+from crashrate.simulators import check_outcomes
 
 NAMES = ("injury", "severe")
 
@@ -43,7 +44,8 @@ def test_a_failed_run_is_unknown_throughout_and_the_array_told_is_not_changed():
         ([[2, 0, 0]] * 3, "got 2.0 at row 0"),
         ([[0, 0, 0], [1, 1.5, 0], [0, 0, 0]], r"'injury' in \[0, 1\], got 1.5 at row 1; divide"),
         ([[0, 0, 0], [1, 0, -1], [0, 0, 0]], r"'severe' in \[0, 1\], got -1.0 at row 1"),
-        ([[1, np.nan, 0]] * 3, r"'injury' in \[0, 1\], got nan"),
+        ([[1, np.nan, 0]] * 3, r"'injury' in \[0, 1\], got nan at row 0; return 0 where"),
+        ({"c": [0] * 3, "injury": [0.5], "severe": [0] * 3}, r"3 values under 'injury'.*\(1,\)"),
         ([[0, 0, 0], [0, 0, 0], [0, 0.1, 0]], "got 0.1 at row 2; let the event be the widest"),
     ],
 )
@@ -54,6 +56,10 @@ def test_what_is_no_outcome_is_refused_with_what_to_do(told, says):
 
 def test_without_consequences_outcomes_are_a_column():
     np.testing.assert_array_equal(told_table([1, 0], 2, ()), [[1], [0]])
+    np.testing.assert_array_equal(told_table({"crash": [1, 0]}, 2, ()), [[1], [0]])
+    np.testing.assert_array_equal(check_outcomes({"crash": [True, False]}, 2), [1, 0])
+    with pytest.raises(SimulationError, match="draw the outcome by it"):
+        check_outcomes([0.7], 1)
     with pytest.raises(InvalidInputError, match="declare what it holds"):
         told_table({"crash": [1], "injury": [0.5]}, 1, ())
 

@@ -6,7 +6,7 @@ numbers in [0, 1] that are 0 where the event did not happen.
 
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -56,9 +56,11 @@ def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
     """
     if names:
         return outcome_table(told, n, names, "tell", InvalidInputError)
+    if isinstance(told, Mapping) and len(told) == 1:
+        told = next(iter(told.values()))
     if isinstance(told, Mapping):
         raise InvalidInputError(
-            f"tell: expected {_outcomes(n)}, got a mapping; declare "
+            f"tell: expected {_outcomes(n)}, got a mapping of {', '.join(map(str, told))}; declare "
             "what it holds beside the event, as in consequences=('injury',)."
         )
     try:
@@ -132,7 +134,7 @@ def _as_table(
     parts = _columns(told, names, what, error) if isinstance(told, Mapping) else None
     try:
         if parts is not None:
-            told = np.stack([np.asarray(part) for part in parts], axis=-1)
+            told = np.stack([_each(key, part, n, what, error) for key, part in parts], axis=-1)
         table = np.asarray(told)
     except ValueError as why:
         raise error(
@@ -153,24 +155,41 @@ def _columns(
     names: Sequence[str],
     what: str,
     error: type[CrashrateError],
-) -> list[npt.ArrayLike]:
+) -> list[tuple[str, npt.ArrayLike]]:
     events = [key for key in told if key not in names]
     if len(events) != 1 or len(told) != 1 + len(names):
         raise error(
             f"{what}: expected the keys {', '.join(names)} and one more for the event, got "
             f"{', '.join(map(str, told)) or 'none'}."
         )
-    return [told[key] for key in (events[0], *names)]
+    return [(key, told[key]) for key in (events[0], *names)]
+
+
+def _each(
+    key: str, part: npt.ArrayLike, n: int, what: str, error: type[CrashrateError]
+) -> npt.NDArray[Any]:
+    """What is told under one name: a value for each situation."""
+    array = np.asarray(part)
+    if array.shape != (n,):
+        raise error(
+            f"{what}: expected {n} values under {key!r}, one per situation, got {what_came(array)}."
+        )
+    return array
 
 
 def _check(
     name: str, column: FloatArray, event: FloatArray, what: str, error: type[CrashrateError]
 ) -> None:
     known = ~np.isnan(event)
+    if len(odd := np.flatnonzero(known & np.isnan(column))):
+        raise error(
+            f"{what}: expected {name!r} in [0, 1], got nan at row {odd[0]}; return 0 where the "
+            "event did not happen, and mark a run that failed by NaN as its event."
+        )
     if len(odd := np.flatnonzero(known & ~((column >= 0) & (column <= 1)))):
         raise error(
             f"{what}: expected {name!r} in [0, 1], got {column[odd[0]]} at row {odd[0]}; divide "
-            "it by the largest value possible, and mark a run that failed by NaN as its event."
+            "it by the largest value that matters (far smaller means cost more runs)."
         )
     if len(odd := np.flatnonzero(known & (event == 0) & (column > 0))):
         raise error(

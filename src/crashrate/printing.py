@@ -90,7 +90,7 @@ def _how_it_stands(result: Mapping[str, Any]) -> str:
     from crashrate.estimation.alarms import StopReason
 
     if result.get("running"):  # said by status alone
-        return RUNNING
+        return f"{RUNNING} The last outcome came {_ago(result['seconds_since_stored'])} ago."
     unfinished = result["stop_reason"] == StopReason.RUNNING.value
     return UNFINISHED if unfinished else f"Stopped: {result['stop_reason']}."
 
@@ -100,10 +100,21 @@ def _what_was_asked(result: Mapping[str, Any]) -> str:
     if not (target := result.get("target")):
         return ""
     about = f" for {target['aim']}" if target.get("aim") else ""
+    told = result["n_calls"]
+    taken = max(told, result.get("n_stored", told))  # said by status alone
+    behind = f" The answer above is of the first {told:,} of them." if taken > told else ""
     return (
         f" Target ± {100 * target['relative_half_width']:.3g} %{about}, "
-        f"{result['n_calls']:,} of at most {target['max_calls']:,} runs taken."
+        f"{taken:,} of at most {target['max_calls']:,} runs taken.{behind}"
     )
+
+
+def _ago(seconds: float) -> str:
+    """A time that passed, in words of one unit."""
+    for unit, size in (("hours", 7200), ("minutes", 120)):
+        if seconds >= size:
+            return f"{2 * seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} seconds"
 
 
 def print_fit(model: "TrafficModel") -> None:

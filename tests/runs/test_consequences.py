@@ -167,11 +167,20 @@ def test_a_mapping_without_a_declaration_says_where_to_declare(go, tmp_path, sce
         ('[outcome]\nconsequences = "injury"', "consequences: expected a list of texts"),
         ('[outcome]\nconsequences = ["a", "a"]', "expected different names"),
         ('[outcome]\nconsequences = ["crash"]', "other names than that of the event, 'crash'"),
+        ('[outcome]\nevent = " "', "event: expected a word for the answer's sentence, got ' '"),
+        ('[outcome]\nper = ""', "per: expected a word"),
     ],
 )
 def test_what_is_wrong_in_a_scenario_is_refused(scenario, more, says):
-    with pytest.raises(ScenarioError, match=says):
+    with pytest.raises(ScenarioError, match=says) as refused:
         Scenario.from_text(scenario.text + more)
+    assert str(refused.value).count("[outcome]") == 1
+
+
+def test_an_aim_without_consequences_says_where_to_declare_them(scenario):
+    text = scenario.text.replace("[target]", '[target]\naim = "injury"')
+    with pytest.raises(ScenarioError, match=r"'injury', and \[outcome\] declares no consequences"):
+        Scenario.from_text(text)
 
 
 def test_the_plant_of_the_study_tells_none(scenario):

@@ -51,7 +51,10 @@ def test_result_holds_every_promised_key(uninterrupted):
     assert set(result["versions"]) == {"crashrate", "numpy", "scipy", "python"}
     assert result["n_calls"] == 60
     assert result["synthetic"] is False
-    assert status(uninterrupted) == result | {"running": False}
+    now = status(uninterrupted)
+    assert 0 <= now.pop("seconds_since_stored") < 600
+    assert now == result | {"running": False, "n_stored": 60}
+    assert isinstance(result["notes"], list)
 
 
 def test_estimate_is_that_of_a_campaign_alone(go, scenario, traffic, tmp_path, vehicle):

@@ -66,7 +66,7 @@ def test_package_function_needs_no_folder():
 
 def test_exception_of_the_function_is_chained_with_the_rows(folder):
     with pytest.raises(
-        SimulationError, match=r"ZeroDivisionError on a batch of 5.*no road"
+        SimulationError, match=r"ZeroDivisionError on an array of shape \(5, .*no road"
     ) as caught:
         PythonFunction("user_simulator:failing", folder)(np.zeros((5, 2)))
     assert isinstance(caught.value.__cause__, ZeroDivisionError)

@@ -94,7 +94,8 @@ class Alarm(StrEnum):
     )
     CONSEQUENCE_UNDETERMINED = (
         "too few simulator runs had one of the consequences, or one of them moves it by more than "
-        "a quarter, or its interval is wider than half of it to either side: aim at it to know more"
+        "a quarter, or its interval is wider than half of it to either side: aim at it to know "
+        "more, or where it is aimed at give more runs"
     )
     ENCOUNTERS_DISAGREE = (
         "random encounters crash far more often than the estimate allows: the interval was widened "

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from crashrate.crash_set.fronts import maximal
-from crashrate.errors import InvalidInputError
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.probing import (
     NEGLIGIBLE_MASS,
@@ -22,6 +21,7 @@ from crashrate.estimation.probing import (
     reachable,
 )
 from crashrate.estimation.strategy import Problem, Query
+from crashrate.estimation.usable import require_usable
 from crashrate.sampling.gaussians import Gaussians
 from crashrate.sampling.pool import Pool, draw_pool
 from crashrate.traffic.model import TrafficModel
@@ -41,9 +41,6 @@ HALVINGS_PER_LINE = 12
 FILLING = ((NEGLIGIBLE_MASS, 15), (1e-7, 135), (NEGLIGIBLE_MASS, 50))
 MAX_SPREAD = 0.5  # standard deviation of an inflated component, in widths of the box
 MAX_ORDINARY = 50
-# Range of a risk coordinate over that of the middle half of its values. Far beyond, distances come
-# to nothing in double precision.
-MOST_UNEVEN = 1e12
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
 
 Exploration = Generator[Query, FloatArray, "Explored"]
@@ -151,8 +148,8 @@ def _inflate(
     for step in range(MAX_INFLATIONS):
         wide = inflated(problem.traffic, factors(INFLATION * INFLATION_STEP**step))
         pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-        if step == 0:
-            _require_even(problem, pool.u)
+        if step == 0 and problem.order is not None:
+            require_usable(problem.order.names, pool.u)
         worst = int(np.argmax(danger(pool.u)))
         labels = yield from ask(problem, labels, pool.x[worst : worst + 1])
         if (labels.y == 1).any():
@@ -165,26 +162,6 @@ def _inflate(
     if (labels.y == 1).any():
         labels = yield from _search_axes(problem, labels, problem.traffic.sample(1, rng)[0])
     return labels, wide, pool
-
-
-def _require_even(problem: Problem, u: FloatArray) -> None:
-    """Refuse risk coordinates (n, m) whose extremes leave all else at one point.
-
-    Raises
-    ------
-    InvalidInputError
-        Named with what to declare instead, before any run.
-    """
-    half = np.subtract(*np.quantile(u, (0.75, 0.25), axis=0))
-    wild = np.flatnonzero((half > 0) & (np.ptp(u, axis=0) > MOST_UNEVEN * half))
-    if len(wild) and problem.order is not None:
-        k = int(wild[0])
-        raise InvalidInputError(
-            f"risk coordinate {problem.order.names[k]!r}: expected values of comparable size, got "
-            f"a range {np.ptp(u[:, k]) / half[k]:.0e} times that of the middle half of them; "
-            "declare an increasing function of it instead, such as its logarithm: the order that "
-            "it claims is the same."
-        )
 
 
 def _to_bounds(problem: Problem, labels: Labels, x: FloatArray, pool: Pool) -> FloatArray:

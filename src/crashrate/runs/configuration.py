@@ -58,7 +58,8 @@ def require_same_variables(scenario: Scenario, traffic: TrafficModel) -> None:
             if not np.isclose(want, have, rtol=1e-9, atol=0.0):
                 raise InvalidInputError(
                     f"traffic model: expected the bounds of the scenario {scenario.name!r}, "
-                    f"{side} = {want:g} for {name}, got {have:g}; fit one for this scenario."
+                    f"{side} = {want:g} for {name}, got {have:g}; fit one for this "
+                    "scenario, or give the scenario the bounds of the model."
                 )
 
 

@@ -47,6 +47,7 @@ from crashrate.runs.looked_at import (
     unchecked_by,
     why_unsettled,
 )
+from crashrate.runs.notes import notes
 from crashrate.runs.only_writer import is_being_written, only_writer
 from crashrate.runs.result import read_result, result_dict, write_result
 from crashrate.runs.scenario import Scenario
@@ -180,15 +181,20 @@ def run(
 
 
 def status(directory: str | Path) -> dict[str, Any]:
-    """What `result.json` of the run in `directory` says, and whether it goes on now (`running`).
+    """What `result.json` of the run in `directory` says, and how far the run is by now.
+
+    `running` is whether a process is at it, `n_stored` how many outcomes it has stored, and
+    `seconds_since_stored` how long ago it last did: a simulator that hangs is told by that.
 
     Raises
     ------
     StoreError
         If there is no run, it has no result yet, or it is damaged.
     """
-    RunStore.open(Path(directory)).close()
-    return read_result(Path(directory)) | {"running": is_being_written(Path(directory))}
+    with RunStore.open(Path(directory)) as store:
+        stored = {"n_stored": store.n_runs(), "seconds_since_stored": store.seconds_since_stored()}
+    running = {"running": is_being_written(Path(directory))}
+    return read_result(Path(directory)) | running | stored
 
 
 def n_stored(directory: str | Path) -> int:
@@ -386,5 +392,6 @@ def _write(
     result["recordings"] = entry(found, estimate, unchecked or sitting.unchecked)
     if text := sitting.store.config().get(VOUCHED):
         result["vouched_sources"] = json.loads(text)
+    result["notes"] = list(notes(result))
     write_result(sitting.directory, result)
     return estimate

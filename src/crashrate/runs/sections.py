@@ -101,9 +101,9 @@ def read_variables(section: Table) -> tuple[Variable, ...]:
 def _variable(section: Table, name: str) -> Variable:
     section.only(("unit", "lower", "upper", "scale"))
     lower, upper = section.number("lower", -math.inf), section.number("upper", math.inf)
+    unit, scale = section.text("unit", ""), section.text("scale", "linear")
     try:
-        scale = Scale.parse(section.text("scale", "linear"), f"{section.where} scale")
-        return Variable(name, section.text("unit", ""), lower, upper, scale)
+        return Variable(name, unit, lower, upper, Scale.parse(scale, "scale"))
     except InvalidInputError as error:
         raise ScenarioError(f"{section.where}: {error}") from error
 
@@ -257,11 +257,15 @@ def read_severity(root: Table, names: tuple[str, ...], closing: str | None) -> S
 def read_outcome(section: Table) -> Outcome:
     """The words of the answer, and the consequences that are told beside the event."""
     section.only(("event", "per", "consequences"))
+    texts = section.texts("consequences")
     try:
-        names = consequence_names(section.texts("consequences"))
+        names = consequence_names(texts)
     except InvalidInputError as error:
         raise ScenarioError(f"{section.where}: {error}") from error
     event, per = section.text("event", Outcome.event), section.text("per", Outcome.per)
+    for key, word in (("event", event), ("per", per)):
+        if not word.strip():
+            raise section.error(f"{key}: expected a word for the answer's sentence, got {word!r}")
     if event in names:
         raise section.error(f"consequences: expected other names than that of the event, {event!r}")
     return Outcome(event, per, names)
@@ -269,6 +273,11 @@ def read_outcome(section: Table) -> Outcome:
 
 def require_aim(root: Table, target: Target, outcome: Outcome) -> None:
     """Refuse an aim that is no consequence."""
+    if target.aim is not None and not outcome.consequences:
+        raise root.table("target").error(
+            f"aim: got {target.aim!r}, and [outcome] declares no consequences; declare it there, "
+            "or leave it out to aim at the event"
+        )
     if target.aim is not None and target.aim not in outcome.consequences:
         raise root.table("target").error(
             f"aim: expected one of the consequences under [outcome], got {target.aim!r}"

@@ -1,6 +1,7 @@
 """The store: everything a run is made of, in one SQLite file that is only ever added to."""
 
 import sqlite3
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -125,6 +126,10 @@ class RunStore:
         with self._transaction(READING) as connection:
             (n,) = connection.execute("SELECT COALESCE(SUM(n), 0) FROM batches").fetchone()
         return int(n)
+
+    def seconds_since_stored(self) -> float:
+        """How long ago something was last written."""
+        return max(time.time() - (self.directory / FILE).stat().st_mtime, 0.0)
 
     def batches(self, n_variables: int, n_consequences: int = 0) -> list[Batch]:
         """The batches, in the order in which they were asked for.

@@ -1,5 +1,6 @@
 """What a simulator is: rows of situations in, one outcome per row out."""
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
@@ -51,6 +52,8 @@ def check_outcomes(
     """
     if consequences:
         return outcome_table(outcomes, n, consequences, what, SimulationError)
+    if isinstance(outcomes, Mapping) and len(outcomes) == 1:
+        outcomes = next(iter(outcomes.values()))
     if isinstance(outcomes, Mapping):
         raise SimulationError(
             f"{what}: expected one outcome per row, shape ({n},), got a mapping of "
@@ -73,7 +76,8 @@ def check_outcomes(
         raise SimulationError(
             f"{what}: expected booleans, or the numbers 1, 0 and NaN (failed), got "
             f"{array[odd[0]]} at row {odd[0]} ({len(odd)} such outcomes of {n}, dtype "
-            f"{array.dtype}); where it returns a margin, return the comparison, as in margin < 0."
+            f"{array.dtype}); where it returns a margin, return the comparison, as in margin < 0, "
+            "where it returns a probability draw the outcome by it."
         )
     return values
 
@@ -82,4 +86,7 @@ def _as_array(outcomes: npt.ArrayLike, what: str) -> npt.NDArray[np.generic]:
     try:
         return np.asarray(outcomes)
     except ValueError as error:  # lists of different lengths
-        raise SimulationError(f"{what}: expected one outcome per row, got {error}.") from error
+        raise SimulationError(
+            f"{what}: expected one outcome per row, got {reprlib.repr(outcomes)}, of unequal "
+            "lengths."
+        ) from error

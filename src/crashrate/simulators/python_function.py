@@ -113,9 +113,10 @@ class PythonFunction:
                 outcomes = function(rows.copy())
         except (Exception, SystemExit) as error:  # a simulator that exits is no end of the run
             raise SimulationError(
-                f"simulator function {self.target!r} raised {type(error).__name__} on a batch of "
-                f"{len(rows)}{_told(error, self.folder)}. To mark one run as failed, return NaN "
-                "for its row instead."
+                f"simulator function {self.target!r} raised {type(error).__name__} on an array of "
+                f"shape {rows.shape}{_told(error, self.folder)}. It is given several situations at "
+                "a time, one a row (x.T has the variables one by one); to mark one run as failed, "
+                "return NaN for its row."
             ) from error
         what = f"simulator function {self.target!r}"
         return check_outcomes(outcomes, len(rows), what, self.consequences)
