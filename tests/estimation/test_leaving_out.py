@@ -10,7 +10,7 @@ from crashrate.crash_set.order import RiskOrder
 from crashrate.estimation import leaving_out
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.leaving_out import check_left_out
+from crashrate.estimation.leaving_out import check_contradicted, check_left_out
 from crashrate.estimation.run import estimate
 from crashrate.estimation.strategy import Problem, Snapshot
 from crashrate.expressions import Expression
@@ -34,21 +34,12 @@ def found(cases, crash, seed, **options):
     return estimate(crash, cases.standard_normal(3), seed=seed, **options)
 
 
-@pytest.mark.parametrize(
-    ("risk", "expected"),
-    [
-        (RISK, (2,)),
-        (RISK | {"c": "decreasing"}, ()),
-        ({"b": "increasing"}, (0, 2)),
-        ({"sum": (Expression("a + 2 * c", ("a", "b", "c")), "increasing")}, (1,)),
-        ({"sum": (lambda x: x[:, 0] * x[:, 1], "increasing")}, (2,)),
-        (None, ()),
-    ],
-)
-def test_what_no_coordinate_depends_on_is_left_out(cases, risk, expected):
+@pytest.mark.parametrize(("risk", "n"), [(RISK, 1), (RISK | {"c": "decreasing"}, 0), (None, 0)])
+def test_a_problem_knows_what_its_order_leaves_out(cases, risk, n):
     traffic = cases.standard_normal(3)
     order = None if risk is None else RiskOrder.from_mapping(risk, traffic.names)
-    assert Problem(traffic=traffic, order=order).left_out == expected
+    blind = Problem(traffic=traffic, order=order).blind
+    assert blind is None if n == 0 else blind.n == n
 
 
 def test_a_variable_that_decides_outcomes_is_found_and_looked_at(cases, check_coverage):
@@ -60,12 +51,41 @@ def test_a_variable_that_decides_outcomes_is_found_and_looked_at(cases, check_co
 
 
 def test_unless_it_is_tested_half_the_probability_is_lost_without_a_word(cases, monkeypatch):
-    monkeypatch.setattr(leaving_out, "N_EACH", 0)
+    monkeypatch.setattr(leaving_out, "N_ALONE", 0)
     for seed in range(2):
         study = found(cases, by_the_third_too, seed)
         assert study.interval[1] < 0.6 * P
         assert study.stop_reason is StopReason.TARGET_MET
         assert not study.alarms
+
+
+BEYOND = 4.2 * np.sqrt(2)
+SUM = {"sum": (Expression("a + b", ("a", "b")), "increasing")}
+
+
+@pytest.mark.parametrize(
+    ("risk", "crash", "p"),
+    [
+        (SUM, lambda x: np.abs(x[:, 1]) > BEYOND - x[:, 0], 1 - norm.cdf(4.2) ** 2),
+        # the only coordinate has one most dangerous place, and the rim of what is looked at is near
+        ({"a": "increasing"}, lambda x: x.max(axis=1) > 4.2, 1 - norm.cdf(4.2) ** 2),
+    ],
+)
+def test_a_direction_that_one_coordinate_does_not_see_is_looked_along(
+    cases, check_coverage, risk, crash, p
+):
+    options = {"risk": risk, "relative_half_width": 0.25, "max_calls": 500}
+    studies = [estimate(crash, cases.standard_normal(2), seed=s, **options) for s in range(3)]
+    check_coverage([s.interval for s in studies], p)
+    assert all(Alarm.LEFT_OUT_MATTERS in s.alarms for s in studies)
+
+
+def test_two_variables_that_only_matter_together_are_looked_at_together(cases):
+    crash = lambda x: (x[:, 0] > 4.3) | (x[:, 1:].min(axis=1) > 2.7)  # noqa: E731
+    p = 1 - norm.cdf(4.3) * (1 - norm.sf(2.7) ** 2)
+    study = found(cases, crash, 0, risk={"a": "increasing"}, relative_half_width=0.3)
+    assert Alarm.LEFT_OUT_MATTERS in study.alarms
+    assert study.interval[0] <= p <= study.interval[1]
 
 
 def test_one_that_does_not_matter_costs_the_looks_and_no_order(cases):
@@ -118,7 +138,7 @@ def test_runs_are_safe_by_the_order_and_far_out(problem, labels, drive):
     x = np.concatenate([query.x for query in queries])
     assert told.order is problem.order
     assert whole
-    assert len(x) == 4 * leaving_out.N_EACH
+    assert len(x) == 2 * len(leaving_out.FAR_OUT) * leaving_out.N_ALONE
     assert labels.implied(labels.coordinates(x))[1].all()
     assert np.count_nonzero(x[:, 2] > 0) == len(x) / 2
     assert (np.abs(x[:, 2]) > 1.5).all()
@@ -134,6 +154,44 @@ def test_a_crash_with_the_variable_as_usual_too_refutes_other_claims(problem, la
     assert told.learned is None
     assert told.order is None
     np.testing.assert_array_equal(told.u, told.x)
+
+
+def test_an_outcome_that_contradicts_has_a_twin_as_usual(problem, labels, drive):
+    """Found by chance: a crash below a safe outcome, with the variable far out."""
+    odd = np.array([[1.5, 1.5, 2.5]])
+    contradicted = labels.add(odd, np.array([1.0]))
+
+    def tested(simulate, labels=contradicted):
+        steps = check_contradicted(problem, labels, Snapshot())
+        return drive(steps, lambda x: simulate(x).astype(float))
+
+    told, queries = tested(lambda x: x[:, 2] > 1)
+    np.testing.assert_allclose(queries[0].x, [[1.5, 1.5, 0.0]], atol=1e-12)
+    assert told.order is None
+    told, queries = tested(lambda x: np.ones(len(x)))  # the order is wrong, not what it leaves out
+    assert told.order is problem.order
+    assert tested(np.isnan, told)[1] == []  # not again
+    assert tested(lambda x: np.full(len(x), np.nan))[0].order is problem.order
+    assert tested(np.isnan, labels)[1] == []
+
+
+def test_without_equal_coordinates_a_twin_is_no_less_dangerous(cases):
+    traffic = cases.standard_normal(2)
+    product = (lambda x: np.hypot(x[:, 0], x[:, 1]), "increasing")
+    problem = Problem(traffic=traffic, order=RiskOrder.from_mapping({"r": product}, traffic.names))
+    labels, x = Labels.empty(problem), traffic.sample(500, 1)
+    twins = leaving_out._twins(problem, labels, x, labels.coordinates(x), x[:5])
+    assert len(twins) == 5
+    assert (labels.coordinates(twins) >= labels.coordinates(x[:5])).all()
+    assert not (twins == x[:5]).all(axis=1).any()
+    assert len(leaving_out._twins(problem, labels, x[:0], x[:0, :1], x[:5])) == 0
+
+
+@pytest.mark.parametrize(("k", "n_looks"), [(1, 6), (2, 24), (3, 30), (4, 36), (8, 44)])
+def test_looks_go_along_unit_ways_and_their_number_is_bounded(k, n_looks):
+    looks = leaving_out._looks(k, np.random.default_rng(0))
+    assert len(looks) == n_looks
+    np.testing.assert_allclose([np.linalg.norm(way) for way, _, _ in looks], 1.0)
 
 
 def test_failed_runs_refute_nothing(problem, labels, drive):

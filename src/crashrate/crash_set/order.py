@@ -132,18 +132,6 @@ class RiskOrder:
         self._require_finite(u, rows)
         return u
 
-    def left_out(self, x: FloatArray) -> tuple[int, ...]:
-        """Columns of rows `x` (n, d) in which no risk coordinate changes: they are left out."""
-        return tuple(i for i in range(x.shape[1]) if self._indifferent_to(i, x))
-
-    def _indifferent_to(self, i: int, x: FloatArray) -> bool:
-        other = x.copy()
-        other[:, i] = np.roll(x[:, i], 1)
-        return all(
-            np.array_equal(self.coordinate(k, x), self.coordinate(k, other), equal_nan=True)
-            for k in range(self.n_coordinates)
-        )
-
     def coordinate(self, k: int, x: FloatArray) -> FloatArray:
         """Risk coordinate k (n,) of rows (n, d), finite or not."""
         return self.coordinates[k].values(self._situations(x))

@@ -49,8 +49,9 @@ class Alarm(StrEnum):
         "outcomes contradict it; the estimate trusts no outcome that it implies"
     )
     LEFT_OUT_MATTERS = (
-        "the declared risk order was given up, and a variable that no risk coordinate depends on "
-        "may be why: declare it too, if danger grows along it, or no order"
+        "the declared risk order was given up, and a variable that no risk coordinate depends on, "
+        "or a direction in which none of them changes, may be why: declare it too, if danger grows "
+        "along it, or no order"
     )
     NEARLY_ALL_CRASH = (
         "nearly every ordinary encounter would crash: check that the simulator returns true for a "

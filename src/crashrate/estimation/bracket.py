@@ -242,7 +242,7 @@ def _refuted(state: State) -> bool:
 
 
 def _dropped(problem: Problem) -> Snapshot:
-    left_out = (Alarm.LEFT_OUT_MATTERS,) if problem.left_out else ()
+    left_out = (Alarm.LEFT_OUT_MATTERS,) if problem.blind is not None else ()
     return Snapshot(
         alarms=(Alarm.ORDER_DROPPED, *left_out, Alarm.NO_ORDER),
         phase="close",

@@ -17,6 +17,10 @@ from crashrate.estimation.selection import Drawn
 from crashrate.estimation.view import Moments, View
 from crashrate.variables import FloatArray
 
+# Effective number of events with z = 1 among the draws, below which the draws' word is taken: as of
+# the hits that an estimate of the event must rest on.
+ENOUGH = 3.0
+
 
 @dataclass(frozen=True)
 class Carried:
@@ -84,10 +88,11 @@ def together(
     c = combine_all([f.round for f in found], confidence, least)
     n_eff = (c.estimate / c.standard_error) ** 2
     low, high = c.lower, c.upper
-    if n_carrying < MIN_CARRYING:
-        # a classifier that hardly saw it foretells hardly any variance: its word is not taken
-        share = _share(found, confidence)
-        low, high = min(low, event[0] * share[0]), max(high, event[1] * share[1])
+    share = _share(found, confidence)
+    if n_carrying < MIN_CARRYING or share.seen < ENOUGH:
+        # what hardly saw it foretells hardly any variance: its word is not taken. And one that is
+        # small in all events seen may be 1 in one of the next
+        low, high = min(low, event[0] * share.low), max(high, event[1] * share.high)
     return Consequence(
         name=name,
         mean=c.estimate,
@@ -101,7 +106,16 @@ def together(
     )
 
 
-def _share(found: Sequence[Carried], confidence: float) -> tuple[float, float]:
+@dataclass(frozen=True)
+class _Share:
+    """E[z | event] by the draws alone: its interval, and how many events with z = 1 were seen."""
+
+    low: float = 0.0
+    high: float = 1.0
+    seen: float = 0.0
+
+
+def _share(found: Sequence[Carried], confidence: float) -> _Share:
     """Interval for E[z | event] from the draws alone: Clopper–Pearson's with unequal weights.
 
     At the effective numbers of events, and of those with the consequence (Korn & Graubard 1998);
@@ -112,10 +126,10 @@ def _share(found: Sequence[Carried], confidence: float) -> tuple[float, float]:
     events = float(share @ [f.events for f in found])
     squares = float(share**2 @ [f.squares for f in found])
     if not events > 0:
-        return 0.0, 1.0
+        return _Share()
     n_eff = events**2 / squares
     seen = n_eff * min(float(share @ [f.carried for f in found]) / events, 1.0)
     tail = (1 - confidence) / 2
     low = float(betaincinv(seen, n_eff - seen + 1, tail)) if seen > 0 else 0.0
     high = float(betaincinv(seen + 1, n_eff - seen, 1 - tail)) if seen < n_eff else 1.0
-    return low, high
+    return _Share(low, high, seen)

@@ -121,7 +121,7 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
 
 def _given_up(problem: Problem, labels: Labels) -> Labels:
     """Without the order, which may be wrong in what it leaves out."""
-    return labels.by_variables() if problem.left_out else labels.without_order()
+    return labels.by_variables() if problem.blind is not None else labels.without_order()
 
 
 def factors(inflation: float) -> tuple[float, ...]:

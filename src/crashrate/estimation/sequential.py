@@ -29,6 +29,7 @@ from crashrate.estimation.hindsight import design
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.last_look import SURVEYS, last_look, surveyed
+from crashrate.estimation.leaving_out import check_contradicted
 from crashrate.estimation.probing import ask, vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import Round, measure
@@ -195,6 +196,7 @@ def _round(
         rounds = state.rounds
     else:
         labels, rounds = yield from _estimate(problem, state, view, snapshot, rng)
+    labels = yield from check_contradicted(problem, labels, snapshot)
     free = not state.directed
     seen = Standardiser.weighted(view.pool.u, view.learning, view.breadth, free=free)
     standardise = model.standardise.or_else(seen)
@@ -270,7 +272,8 @@ def _estimate(
 def _distrust(problem: Problem, state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
     found = verdict(state.labels, state.model.standardise.unit)
-    if found is not Verdict.STANDS and problem.left_out:  # they may be what it fails by
+    given_up = problem.order is not None and state.labels.order is None and state.directed
+    if given_up or (found is not Verdict.STANDS and problem.blind is not None):  # what it fails by
         return by_variables(problem, state, state.labels.by_variables())
     if found is not Verdict.STANDS:
         return replace(

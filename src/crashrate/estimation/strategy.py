@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crashrate.crash_set.blind import Blind
 from crashrate.crash_set.monotone_set import MonotoneSet
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import InvalidInputError
@@ -35,7 +36,6 @@ NUMBERS = {
     "batch_size": Integral,
     "seed": Integral,
 }
-N_TRIED = 256  # situations that tell which variables an order leaves out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,11 +107,10 @@ class Problem:
         return None if self.aim is None else self.consequences.index(self.aim)
 
     @cached_property
-    def left_out(self) -> tuple[int, ...]:
-        """Variables on which no risk coordinate depends: the order claims that nothing does."""
-        if self.order is None:
-            return ()
-        return self.order.left_out(self.traffic.sample(N_TRIED, np.random.default_rng(0)))
+    def blind(self) -> Blind | None:
+        """Directions that the order does not see, and claims not to matter; None without any."""
+        found = None if self.order is None else Blind.of(self.order, self.traffic)
+        return found if found is not None and found.n else None
 
     def target_at(self, n_calls: int) -> float:
         """The relative half-width that is aimed at after so many simulator runs."""
