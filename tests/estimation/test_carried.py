@@ -107,8 +107,8 @@ def carried(estimate, deviation, n_runs=10, events=(1e-6, 1e-13), share=0.0):
 
 
 def test_rounds_are_combined_as_those_of_the_event():
-    rounds = [carried(1e-7 + e, 1e-9) for e in (-1e-9, 1e-9, 0.0, 1e-9)]
-    got = together("injury", rounds, 30, (9e-7, 1.1e-6), 0.95, aimed=True)
+    rounds = [carried(1e-7 + e, 1e-9, share=0.1) for e in (-1e-9, 1e-9, 0.0, 1e-9)]
+    got = together("injury", rounds, 30, (9e-7, 1.1e-6), 0.95, total=15.0, aimed=True)
     assert got.mean == pytest.approx(1e-7, rel=0.01)
     assert 0.9e-7 < got.interval[0] < 1e-7 < got.interval[1] < 1.1e-7
     assert got.determined
@@ -117,23 +117,32 @@ def test_rounds_are_combined_as_those_of_the_event():
 
 def test_rounds_that_count_for_the_event_count_for_its_consequences():
     """What was expected of a consequence moves much more: few rounds would be left to stop on."""
-    rounds = [carried(e * 1e-7, e * 2e-9) for e in (0.6, 0.8, 1.2, 1.1)]
-    got = together("injury", rounds, 30, (9e-7, 1.1e-6), 0.95, aimed=True)
+    rounds = [carried(e * 1e-7, e * 2e-9, share=0.1) for e in (0.6, 0.8, 1.2, 1.1)]
+    got = together("injury", rounds, 30, (9e-7, 1.1e-6), 0.95, total=15.0, aimed=True)
     assert got.mean == pytest.approx(np.mean([0.6, 0.8, 1.2, 1.1]) * 1e-7)
 
 
 def test_a_consequence_never_seen_is_bounded_by_the_draws_alone():
     # forty events of equal weight without it: a classifier is sure, Clopper and Pearson are not
     rounds = [carried(1e-12, 1e-12, events=(1e-6, 1e-13)) for _ in range(4)]
-    got = together("rare", rounds, 0, (0.9e-6, 1.1e-6), 0.95, aimed=False)
+    got = together("rare", rounds, 0, (0.9e-6, 1.1e-6), 0.95, total=0.0, aimed=False)
     assert not got.determined
     assert got.interval[0] == 0.0
     assert got.interval[1] == pytest.approx(1.1e-6 * (1 - 0.025 ** (1 / 40)), rel=1e-6)
 
 
+@pytest.mark.parametrize(("n_carrying", "total", "share"), [(40, 0.04, 0.1), (40, 9.0, 0.001)])
+def test_one_that_was_small_in_all_events_may_be_large_in_the_next(n_carrying, total, share):
+    rounds = [carried(1e-9, 1e-11, events=(1e-6, 1e-13), share=share) for _ in range(4)]
+    got = together("injury", rounds, n_carrying, (0.9e-6, 1.1e-6), 0.95, total=total, aimed=True)
+    assert got.interval[1] > 1.1e-6 * (1 - 0.025 ** (1 / 40))
+    plain = together("injury", rounds, 40, (0.9e-6, 1.1e-6), 0.95, total=9.0, aimed=True)
+    assert plain.interval[1] < 1.2e-9 or share < 0.01
+
+
 def test_without_an_event_drawn_a_consequence_may_be_as_likely_as_the_event():
     rounds = [carried(1e-12, 1e-12, events=(0.0, 0.0)) for _ in range(3)]
-    got = together("rare", rounds, 0, (0.9e-6, 1.1e-6), 0.95, aimed=False)
+    got = together("rare", rounds, 0, (0.9e-6, 1.1e-6), 0.95, total=0.0, aimed=False)
     assert got.interval == (0.0, 1.1e-6)
 
 
@@ -143,7 +152,7 @@ def test_few_events_with_a_consequence_give_intervals_that_hold(share):
     held = 0
     for k in binom.rvs(n, share, size=times, random_state=rng):
         found = [carried(1e-12, 1e-12, n, events=(1e-6, 1e-12 / n), share=k / n)]
-        low, high = together("rare", found, 0, (1e-6, 1e-6), 0.95, aimed=False).interval
+        low, high = together("rare", found, 0, (1e-6, 1e-6), 0.95, total=0.0, aimed=False).interval
         held += low <= share * 1e-6 <= high
     assert binom.cdf(held, times, 0.95) > 1e-3
 

@@ -10,8 +10,8 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from crashrate.errors import InvalidInputError
+from crashrate.estimation import carried, sequential
 from crashrate.estimation import consequences as learning
-from crashrate.estimation import sequential
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.carried import carry
@@ -210,6 +210,44 @@ def test_traffic_models_that_disagree_on_what_is_aimed_at_raise_an_alarm(cases, 
     assert Alarm.TRAFFIC_UNDETERMINED in aimed.alarms
     alone = estimate(simulate, replace(one, members=(one, one)), **options, aim="side")
     assert Alarm.TRAFFIC_UNDETERMINED not in alone.alarms
+
+
+def test_a_rare_severe_outcome_that_no_run_had_is_not_excluded(
+    cases,
+    small,  # noqa: ARG001
+    check_coverage,
+    monkeypatch,
+):
+    """A thousandth in most crashes, 1 in one of fifty: half of the campaigns see none of those."""
+    truth = norm.sf(4.0) * (0.02 + 0.98 * 0.001)
+
+    def severe(seed):
+        rng = np.random.default_rng((seed, 9))
+
+        def simulate(x):
+            crash = x.sum(axis=1) > 4.0 * math.sqrt(2)
+            return np.column_stack([crash, crash * np.where(rng.random(len(x)) < 0.02, 1.0, 1e-3)])
+
+        return estimate(
+            simulate,
+            cases.standard_normal(2),
+            risk=cases.increasing(2),
+            consequences=["injury"],
+            aim="injury",
+            relative_half_width=0.5,
+            max_calls=120,
+            seed=seed,
+        )
+
+    found = [severe(seed) for seed in range(6)]
+    check_coverage([e.consequences[0].interval for e in found], truth)
+    assert all(e.stop_reason is StopReason.BUDGET_ENDED for e in found)
+    assert all(Alarm.CONSEQUENCE_UNDETERMINED in e.alarms for e in found)
+    monkeypatch.setattr(carried, "ENOUGH", 0.0)
+    monkeypatch.setattr(carried, "ENOUGH_DRAWN", 0.0)
+    blind = [severe(seed) for seed in range(6)]
+    missed = [e for e in blind if e.consequences[0].interval[1] < truth]
+    assert len(missed) >= 2
 
 
 def test_a_mapping_is_told_like_an_array(go):

@@ -84,7 +84,7 @@ class RiskOrder:
             or safer), or the name of a derived quantity to ``(function, direction)``, the
             function taking rows (n, d) of the variables: any callable, or an `Expression`, whose
             level sets the dominating points can use exactly. A variable that no coordinate depends
-            on is claimed not to matter.
+            on, or a direction in which none changes, is claimed not to matter.
         names : sequence of str, length d
             The traffic model's variables, in order.
 

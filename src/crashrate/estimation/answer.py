@@ -109,6 +109,7 @@ def _consequences(
             int(np.count_nonzero(state.labels.z[:, k] > 0)),
             event,
             problem.confidence,
+            total=float(np.nansum(state.labels.z[:, k])),
             least=state.least_inflation,
             aimed=name == problem.aim,
         )

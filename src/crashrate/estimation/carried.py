@@ -17,9 +17,9 @@ from crashrate.estimation.selection import Drawn
 from crashrate.estimation.view import Moments, View
 from crashrate.variables import FloatArray
 
-# Effective number of events with z = 1 among the draws, below which the draws' word is taken: as of
-# the hits that an estimate of the event must rest on.
-ENOUGH = 3.0
+# A number that is small in all events seen may be 1 in the next. Sum of it over all runs, and
+# effective number of draws with an event times its mean there, below which the draws alone count.
+ENOUGH, ENOUGH_DRAWN = 3.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,7 @@ def together(
     event: tuple[float, float],
     confidence: float,
     *,
+    total: float,
     least: float = MIN_INFLATION,
     aimed: bool,
 ) -> Consequence:
@@ -81,17 +82,19 @@ def together(
         Simulator runs that had it.
     event : (float, float)
         Interval for the event's probability.
-    confidence, least : float
-        As of `combine`.
+    confidence : float
+        As of `combine`, and `least`.
+    total : float
+        Sum of it over the runs that had it.
+    least : float
     aimed : bool
     """
     c = combine_all([f.round for f in found], confidence, least)
     n_eff = (c.estimate / c.standard_error) ** 2
     low, high = c.lower, c.upper
     share = _share(found, confidence)
-    if n_carrying < MIN_CARRYING or share.seen < ENOUGH:
-        # what hardly saw it foretells hardly any variance: its word is not taken. And one that is
-        # small in all events seen may be 1 in one of the next
+    if n_carrying < MIN_CARRYING or total < ENOUGH or share.seen < ENOUGH_DRAWN:
+        # what hardly saw it foretells hardly any variance: its word is not taken
         low, high = min(low, event[0] * share.low), max(high, event[1] * share.high)
     return Consequence(
         name=name,

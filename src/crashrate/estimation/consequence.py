@@ -9,7 +9,8 @@ from crashrate.estimation.width import width_text
 
 MIN_N_EFF = 5.0  # below it, the runs do not determine a consequence
 MIN_CARRYING = 10  # nor if fewer runs had it
-ROUGH = 0.5  # an interval of more to either side is no more than a first idea
+ROUGH = 0.5  # an interval of more to either side is no more than a first idea …
+WIDEST_TARGET = 1.0  # … but for what a target asked for, which is no wider than this
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class Consequence:
     def rough(self) -> bool:
         """Whether more should be known of it before it is used, but for what a target asked for."""
         concentrated = self.largest_weight_share > SHARE_LIMIT
-        wide = self.relative_half_width > ROUGH and not self.aimed
+        wide = self.relative_half_width > (WIDEST_TARGET if self.aimed else ROUGH)
         return not self.determined or concentrated or wide
 
     def sentence(self, per: str = "encounter") -> str:
