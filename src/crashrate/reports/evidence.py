@@ -116,13 +116,14 @@ def _traffic_ranges(e: Estimate) -> tuple[Fact, ...]:
 
 def _traffic_range(what: str, found: TrafficRange) -> Fact:
     low, middle, high = found.quantiles
+    name, what = ("", "the probability") if what == "probability" else (f", {what}", what)
     return Fact(
-        "Traffic models" if what == "probability" else f"Traffic models, {what}",
+        f"Traffic models{name}",
         f"{power_of_ten(low)} … {power_of_ten(middle)} … {power_of_ten(high)}"
         if is_number(middle)
         else "not determined",
-        f"5, 50 and 95 % of the {what} under {len(found.probabilities)} fits that the events "
-        "allow; the answer is their mean.",
+        f"5, 50 and 95 % of {what} under {len(found.probabilities)} fits that the events allow; "
+        "the answer is their mean.",
     )
 
 
