@@ -117,7 +117,7 @@ def test_progress_names_the_ends_of_an_interval_wider_than_its_estimate():
 
 
 def test_progress_says_which_runs_were_stored():
-    assert standing(under_way(), 120) == "80 of at most 2,000 runs (of 120 stored), explore"
+    assert standing(under_way(), 120) == "going through 80 of 120 stored runs, explore"
     assert standing(under_way(), 70) == "80 of at most 2,000 runs, explore"
 
 

@@ -230,9 +230,11 @@ def runs(n: int, word: str) -> str:
 def standing(campaign: "Campaign", n_stored: int = 0) -> str:
     """How a campaign stands, on one line of progress; the first `n_stored` runs are not new."""
     snapshot, calls, problem = campaign.snapshot, campaign.n_calls, campaign.problem
-    stored = f" (of {n_stored} stored)" * (calls <= n_stored)
+    taken = f"{calls:,} of at most {problem.max_calls:,} runs"
+    if calls <= n_stored:
+        taken = f"going through {calls:,} of {n_stored:,} stored runs"
     failed = f", {campaign.n_failed} failed" * (campaign.n_failed > 0)
-    text = f"{calls:,} of at most {problem.max_calls:,} runs{stored}{failed}, {snapshot.phase}"
+    text = f"{taken}{failed}, {snapshot.phase}"
     target = f"(target ± {100 * problem.relative_half_width:.3g} %)"
     if campaign.goal == "bounds":
         low, high = snapshot.bounds

@@ -40,7 +40,7 @@ class Alarm(StrEnum):
         "the rounds scatter more than predicted: the interval was widened by the scatter seen"
     )
     ORDER_CONTRADICTED = (
-        "some outcomes contradict the declared risk order: the estimate and its interval allow for "
+        "some outcomes contradict the declared risk order: an estimate and its interval allow for "
         "ripples at the edge of the crash set as deep as those seen, and for no deeper ones; the "
         "bounds P(inner), P(outer) hold only where the order does"
     )
