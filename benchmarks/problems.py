@@ -3,7 +3,8 @@
 A, B, C, D and ``corner`` are monotone (Gaussian mixtures, two to six variables), so are ``linear``
 and ``random walk`` in ten; ``disc`` is not; ``cut-in`` is the published traffic model with the
 ACC + AEB vehicle under test. ``linear, d = 4, 1e-3`` and its kin are half-spaces at every power of
-ten from 1e-2 to 1e-9. What else there is, and why, says `wider.py`.
+ten from 1e-2 to 1e-9. What else there is, and why, say `wider.py`
+and `unseen.py`.
 """
 
 import math
@@ -16,6 +17,7 @@ from benchmark import Benchmark, Outcomes, Rows, mixture, order_of, standard_nor
 from braking_follower import margin_left
 from crashrate.expressions import Expression
 from random_walk import crossing_probability
+from unseen import UNSEEN
 from wider import WIDER
 
 
@@ -262,4 +264,5 @@ PROBLEMS: Mapping[str, Callable[[], Benchmark]] = {
     "half of the time, d = 4": lambda: linear(4, 0.5),
     **half_spaces(),
     **WIDER,
+    **UNSEEN,
 }
