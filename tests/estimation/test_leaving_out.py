@@ -80,6 +80,43 @@ def test_a_direction_that_one_coordinate_does_not_see_is_looked_along(
     assert all(Alarm.LEFT_OUT_MATTERS in s.alarms for s in studies)
 
 
+def test_the_far_side_of_one_component_lies_inside_all_of_traffic(cases, check_coverage):
+    """Between two components, above the one: not far out of the whole along any direction."""
+    one = cases.standard_normal(2)
+    both = replace(
+        one,
+        weights=[0.5, 0.5],
+        means=[[0.0, 0.0], [0.0, 40.0]],
+        covariances=np.repeat(one.covariances, 2, axis=0),
+    )
+    crash = lambda x: (x[:, 0] > 4.2) | ((x[:, 1] > 4.2) & (x[:, 1] < 10))  # noqa: E731
+    p = 1 - norm.cdf(4.2) * (1 - norm.sf(4.2) / 2)
+    options = {"risk": {"a": "increasing"}, "relative_half_width": 0.25, "max_calls": 500}
+    studies = [estimate(crash, both, seed=s, **options) for s in range(2)]
+    check_coverage([s.interval for s in studies], p)
+    assert all(Alarm.LEFT_OUT_MATTERS in s.alarms for s in studies)
+
+
+def test_ripples_along_what_an_order_does_not_see_cost_no_order(cases):
+    level = 4.2 * np.sqrt(2)
+    phases = np.sin(np.linspace(0, 2 * np.pi, 401)[:-1])
+    p = norm.sf((level - 0.1 * phases) / np.sqrt(2)).mean()
+    study = found(cases, lambda x: x[:, 0] + x[:, 1] + 0.1 * np.sin(40 * x[:, 2]) > level, 3)
+    assert Alarm.LEFT_OUT_MATTERS not in study.alarms
+    assert study.interval[0] <= p <= study.interval[1]
+
+
+def test_a_budget_that_ends_before_the_test_says_so(cases):
+    short = found(cases, by_two, 0, max_calls=60)
+    assert Alarm.LEFT_OUT_UNTESTED in short.alarms
+    bounds = found(cases, by_two, 0, goal="bounds", max_calls=25)
+    assert Alarm.LEFT_OUT_UNTESTED in bounds.alarms
+    whole = found(cases, by_two, 0)
+    assert Alarm.LEFT_OUT_UNTESTED not in whole.alarms
+    all_seen = found(cases, by_two, 0, risk=RISK | {"c": "increasing"}, max_calls=60)
+    assert Alarm.LEFT_OUT_UNTESTED not in all_seen.alarms
+
+
 def test_two_variables_that_only_matter_together_are_looked_at_together(cases):
     crash = lambda x: (x[:, 0] > 4.3) | (x[:, 1:].min(axis=1) > 2.7)  # noqa: E731
     p = 1 - norm.cdf(4.3) * (1 - norm.sf(2.7) ** 2)
@@ -162,7 +199,7 @@ def test_an_outcome_that_contradicts_has_a_twin_as_usual(problem, labels, drive)
     contradicted = labels.add(odd, np.array([1.0]))
 
     def tested(simulate, labels=contradicted):
-        steps = check_contradicted(problem, labels, Snapshot())
+        steps = check_contradicted(problem, labels, np.ones(2), Snapshot())
         return drive(steps, lambda x: simulate(x).astype(float))
 
     told, queries = tested(lambda x: x[:, 2] > 1)

@@ -1,7 +1,8 @@
 """Directions of traffic in which no risk coordinate changes: an order is blind to what lies there.
 
 Variables that no coordinate depends on are such directions; so is a - b where the order knows a + b
-alone. The order claims that nothing depends on them.
+alone, and b where it knows max(b, 2) and b is seldom above. The order claims that nothing depends
+on them.
 """
 
 from dataclasses import dataclass
@@ -13,10 +14,12 @@ from crashrate.crash_set.order import RiskOrder
 from crashrate.traffic.model import TrafficModel
 from crashrate.variables import FloatArray
 
-N_TRIED = 256
-STEP = 0.5  # of the secants, in standard deviations: steps of a coordinate are seen by most of them
-INDEPENDENT = 1e-6  # least singular value of coordinates that tell directions apart
-OFTEN = 0.15  # share of situations in which a direction is blind to count as one
+N_TRIED, FAR = 256, 3.0  # draws, and the same so many times as far out
+# Of secants, in standard deviations. Where a coordinate is flat by the short one, as if it were
+# rounded, the long one counts.
+SHORT, LONG = 0.001, 0.5
+INDEPENDENT = 0.05  # least singular value of unit slopes that tell directions apart
+OFTEN = 0.15  # a direction counts that is unseen in this share of situations
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,74 +28,87 @@ class Blind:
 
     Parameters
     ----------
-    directions : ndarray, shape (d, k)
-        Orthonormal, in standard units of traffic.
+    ways : ndarray, shape (d, k)
+        In the variables' own units.
     center : ndarray, shape (d,)
+        The middle from which displacements are told.
     factor : ndarray, shape (d, d)
-        Lower triangular: one of traffic's covariance.
+        Lower triangular, of a covariance: the units that they are told in.
     """
 
-    directions: FloatArray
+    ways: FloatArray
     center: FloatArray
     factor: FloatArray
 
     @classmethod
     def of(cls, order: RiskOrder, traffic: TrafficModel) -> "Blind":
-        """What `order` does not see of `traffic`: by secants at draws of it."""
-        factor = np.asarray(np.linalg.cholesky(traffic.covariance), dtype=np.float64)
-        slopes = _slopes(order, traffic) @ factor
-        return cls(_aligned(_null_space(slopes)), traffic.mean, factor)
+        """What `order` does not see of `traffic`: by secants at draws of it, and far out."""
+        factor = _cholesky(traffic.covariance)
+        return cls(factor @ _unseen(_slopes(order, traffic) @ factor), traffic.mean, factor)
+
+    def within(self, mean: FloatArray, covariance: FloatArray) -> "Blind":
+        """The same directions in the units of one of traffic's components."""
+        return Blind(self.ways, mean, _cholesky(covariance))
 
     @property
     def n(self) -> int:
         """Number k of directions."""
-        return int(self.directions.shape[1])
+        return int(self.ways.shape[1])
+
+    @property
+    def directions(self) -> FloatArray:
+        """Orthonormal in standard units, (d, k), along their axes where it can be."""
+        basis = np.linalg.qr(solve_triangular(self.factor, self.ways, lower=True))[0]
+        return np.asarray(qr(basis @ basis.T, pivoting=True)[0][:, : self.n])
 
     def displaced(self, x: FloatArray) -> FloatArray:
-        """How far situations (n, d) lie from the middle of traffic along each of them, (n, k)."""
+        """How far situations (n, d) lie from the middle along each of the directions, (n, k)."""
         z = solve_triangular(self.factor, (x - self.center).T, lower=True).T
         return np.asarray(z @ self.directions)
 
     def undone(self, x: FloatArray) -> FloatArray:
-        """Situations (n, d) moved to the middle along these directions alone."""
-        return np.asarray(x - self.displaced(x) @ self.directions.T @ self.factor.T)
+        """Each situation (n, d) moved to the middle along all directions, and along each alone.
+
+        Shape (n, 1 + k, d).
+        """
+        steps = self.displaced(x)[:, None] * np.concatenate([np.ones((1, self.n)), np.eye(self.n)])
+        return np.asarray(x[:, None] - steps @ self.directions.T @ self.factor.T)
+
+
+def _cholesky(covariance: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
 def _slopes(order: RiskOrder, traffic: TrafficModel) -> FloatArray:
-    """Slopes (n, m, d) of the risk coordinates, by secants inside traffic's box."""
-    x = traffic.sample(N_TRIED, np.random.default_rng(0))
-    columns = []
-    for i, step in enumerate(STEP * np.sqrt(np.diagonal(traffic.covariance))):
-        low, high = x.copy(), x.copy()
-        low[:, i] = np.maximum(x[:, i] - step, traffic.lower[i])
-        high[:, i] = np.minimum(x[:, i] + step, traffic.upper[i])
-        run = high[:, i] - low[:, i]
-        columns.append(
-            [
-                (order.coordinate(k, high) - order.coordinate(k, low)) / run
-                for k in range(order.n_coordinates)
-            ]
-        )
-    slopes = np.moveaxis(np.array(columns), (0, 1, 2), (2, 1, 0))
+    """Slopes (n, m, d) of the risk coordinates, those that are finite."""
+    usual = traffic.sample(N_TRIED, np.random.default_rng(0))
+    far = traffic.mean + FAR * (usual - traffic.mean)  # a coordinate may be level where crashes are
+    x = np.clip(np.concatenate([usual, far]), traffic.lower, traffic.upper)
+    short, long = (_secants(order, traffic, x, step) for step in (SHORT, LONG))
+    flat = ~short.any(axis=2, keepdims=True)
+    slopes = np.where(flat, long, short)
     return np.asarray(slopes[np.isfinite(slopes).all(axis=(1, 2))])
 
 
-def _null_space(slopes: FloatArray) -> FloatArray:
-    """Projector (d, d) on directions that slopes (n, m, d) do not see, where they see the most."""
-    d = slopes.shape[2]
+def _secants(order: RiskOrder, traffic: TrafficModel, x: FloatArray, step: float) -> FloatArray:
+    """Slopes (n, m, d) at `x` (n, d) over a `step`, inside traffic's box."""
+    slopes = np.empty((len(x), order.n_coordinates, x.shape[1]))
+    for i, size in enumerate(step * np.sqrt(np.diagonal(traffic.covariance))):
+        low, high = x.copy(), x.copy()
+        low[:, i] = np.maximum(x[:, i] - size, traffic.lower[i])
+        high[:, i] = np.minimum(x[:, i] + size, traffic.upper[i])
+        for k in range(order.n_coordinates):
+            rise = order.coordinate(k, high) - order.coordinate(k, low)
+            slopes[:, k, i] = rise / (high[:, i] - low[:, i])
+    return slopes
+
+
+def _unseen(slopes: FloatArray) -> FloatArray:
+    """Orthonormal directions (d, k) that slopes (n, m, d) often do not see."""
     size = np.linalg.norm(slopes, axis=2, keepdims=True)
     unit = np.divide(slopes, size, out=np.zeros_like(slopes), where=size > 0)
-    _, values, rows = np.linalg.svd(unit)
-    ranks = (values > INDEPENDENT).sum(axis=1)
-    most = int(ranks.max(initial=0))
-    seen = rows[ranks == most, :most]
-    blind = np.eye(d) - (np.einsum("nri,nrj->ij", seen, seen) / max(len(seen), 1))
-    shares, axes = np.linalg.eigh(blind)
-    kept = axes[:, shares > OFTEN] if most < d else axes[:, :0]
-    return np.asarray(kept @ kept.T)
-
-
-def _aligned(projector: FloatArray) -> FloatArray:
-    """Orthonormal directions (d, k) of the space of `projector`, axes where it has any."""
-    k = round(float(np.trace(projector)))
-    return np.asarray(qr(projector, pivoting=True)[0][:, :k])
+    _, values, rows = np.linalg.svd(unit, full_matrices=False)
+    seen = rows * (values > INDEPENDENT)[:, :, None]
+    of_situations = np.einsum("nri,nrj->ij", seen, seen) / max(len(seen), 1)
+    shares, axes = np.linalg.eigh(np.eye(slopes.shape[2]) - of_situations)
+    return np.asarray(axes[:, shares > OFTEN])

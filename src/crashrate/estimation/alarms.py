@@ -53,6 +53,11 @@ class Alarm(StrEnum):
         "or a direction in which none of them changes, may be why: declare it too, if danger grows "
         "along it, or no order"
     )
+    LEFT_OUT_UNTESTED = (
+        "the risk order does not see some variable, or some direction, and the budget ended before "
+        "that was tested: crashes that depend on it are in neither the estimate nor its interval; "
+        "a larger budget tests it"
+    )
     NEARLY_ALL_CRASH = (
         "nearly every ordinary encounter would crash: check that the simulator returns true for a "
         "crash, and takes the columns in their order and units"

@@ -152,6 +152,7 @@ def doubts(
     raised = {
         Alarm.ORDER_DROPPED: state.dropped_at is not None,
         Alarm.LEFT_OUT_MATTERS: problem.order is not None and state.labels.order is None,
+        Alarm.LEFT_OUT_UNTESTED: (problem.blind is not None and state.ordered and not state.tested),
         Alarm.ORDER_CONTRADICTED: state.labels.contradictions > 0,
         Alarm.NO_ORDER: problem.order is None or not state.ordered,
         Alarm.ENCOUNTERS_DISAGREE: trusted.outvoted,

@@ -58,6 +58,8 @@ class State:
         The last one.
     audited_at : int
         The round before which it was.
+    tested : bool
+        Whether what the order does not see was, as far as it is.
     """
 
     labels: Labels
@@ -68,6 +70,7 @@ class State:
     over: StopReason = StopReason.RUNNING
     audit: OrderAudit | None = None
     audited_at: int = 0
+    tested: bool = False
 
 
 def bracket(problem: Problem) -> Bracketing:
@@ -224,7 +227,8 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
     snapshot = replace(_standing(labels, _bounds(problem, state)), phase="audit")
     scale = state.model.standardise.unit
     in_force = replace(problem, max_calls=problem.budget_at(n))
-    labels, _ = yield from check_left_out(in_force, labels, scale, rng, snapshot)
+    labels, whole = yield from check_left_out(in_force, labels, scale, rng, snapshot)
+    state = replace(state, tested=state.tested or whole)
     n_runs = min(MAX_AUDITS, share, room - (labels.n - n))
     if labels.learned is None or n_runs < 1:
         return replace(state, labels=labels)
@@ -280,10 +284,11 @@ def _reason(problem: Problem, state: State) -> StopReason:
 
 def _end(problem: Problem, state: State, reason: StopReason) -> Snapshot:
     labels = state.labels
+    untested = problem.blind is not None and not state.tested
     surrogate, model = state.model.fit(labels, state.ordinary, directed=True)
     return Snapshot(
         bounds=_bounds(problem, state),
-        alarms=_alarms(labels),
+        alarms=_alarms(labels) + (Alarm.LEFT_OUT_UNTESTED,) * untested,
         order_audit=state.audit,
         learned=labels.learned,
         belief=Belief(labels, surrogate, model.standardise, state.proposal),

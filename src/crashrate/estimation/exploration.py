@@ -103,6 +103,9 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
     rng, labels, n_filling = problem.rng(0), Labels.empty(problem), 0
     ordinary = problem.traffic.sample(N_ORDINARY, rng)
     if problem.order is not None:
+        # from a stream of its own: whether an order can be used does not depend on the seed
+        usual = wide_pool(problem, labels, np.random.default_rng(0))
+        require_usable(problem.order.names, usual.u)
         labels, wide, pool = yield from _inflate(problem, labels, rng)
         if (labels.y == 1).any():
             labels = yield from probe(problem, labels, pool)
@@ -148,8 +151,6 @@ def _inflate(
     for step in range(MAX_INFLATIONS):
         wide = inflated(problem.traffic, factors(INFLATION * INFLATION_STEP**step))
         pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-        if step == 0 and problem.order is not None:
-            require_usable(problem.order.names, pool.u)
         worst = int(np.argmax(danger(pool.u)))
         labels = yield from ask(problem, labels, pool.x[worst : worst + 1])
         if (labels.y == 1).any():

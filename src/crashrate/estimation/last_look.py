@@ -46,7 +46,8 @@ def _left_out(
         return by_variables(problem, state, labels), whole
     contradicted = labels.contradictions > state.labels.contradictions
     n_surveys = state.n_surveys + contradicted  # another look comes, as after a surprise
-    return replace(state, labels=labels, n_surveys=n_surveys), whole
+    tested = state.tested or whole
+    return replace(state, labels=labels, n_surveys=n_surveys, tested=tested), whole
 
 
 def _survey(

@@ -19,8 +19,15 @@ from crashrate.crash_set.blind import Blind
 from crashrate.crash_set.fronts import above_any, maximal
 from crashrate.estimation.exploration import wide_pool
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.probing import ask, farthest, likeliest, reachable
+from crashrate.estimation.probing import (
+    ask,
+    farthest,
+    farthest_as_scaled,
+    likeliest,
+    reachable,
+)
 from crashrate.estimation.refutation import DEEP
+from crashrate.estimation.selection import IntArray
 from crashrate.estimation.strategy import Problem, Query, Snapshot
 from crashrate.variables import FloatArray
 
@@ -29,11 +36,15 @@ from crashrate.variables import FloatArray
 FAR_OUT = (0.6, 0.85, 0.97)
 N_ALONE = 3  # runs at each of these where one direction is left out; one where several are
 MANY = 4  # directions, beyond which there are two shares of three
-N_OBLIQUE = 12  # looks between axes, of more than two directions
-OBLIQUE = 0.85  # their share
+N_OBLIQUE, OBLIQUE = 12, 0.85  # looks between axes, of more than two directions, and their share
+# Of a mixture at most so many components, far from each other, have looks of their own, and one run
+# each way: in the units of all a tight one is a point, and what lies between two is inside.
+N_COMPONENTS, OF_COMPONENT = 4, 0.9
 ENOUGH = 3  # times as many places to choose from as are wanted
-SAME = 1e-9  # of the risk coordinates, for rounding
+SAME = 1e-6  # of the risk coordinates: directions are told by secants
 UNUSUAL, N_TWINS = 0.5, 2  # standard deviations; twins at a time of outcomes that contradict it
+Look = tuple[FloatArray, float, int]
+"""A way along the directions (k,), the share of it beyond which is looked, and how many runs."""
 
 
 def check_left_out(
@@ -50,8 +61,8 @@ def check_left_out(
     if labels.learned is None or problem.blind is None:
         return labels, True
     told, before = replace(snapshot, phase="learn"), labels.n
-    safe, blind = _safe_by_order(problem, labels, unit, rng), problem.blind
-    x = _far_out(blind, *safe, labels.x, rng)
+    safe = _safe_by_order(problem, labels, unit, rng)
+    x = _far_out(problem, *safe, labels.x, rng)
     labels = yield from ask(problem, labels, x, told)
     crashed = labels.x[before:][labels.y[before:] == 1]
     twins = _twins(problem, labels, *safe, crashed)
@@ -63,40 +74,67 @@ def check_left_out(
 
 
 def check_contradicted(
-    problem: Problem, labels: Labels, snapshot: Snapshot
+    problem: Problem, labels: Labels, unit: FloatArray, snapshot: Snapshot
 ) -> Generator[Query, FloatArray, Labels]:
     """Simulate twins, as usual, of outcomes that contradict an order: equal coordinates end alike.
 
-    The outcomes by variables, without an order, where they do not.
+    The outcomes by variables, without an order, where they do not. Only of those that contradict it
+    deeply, in units (m,): ripples may run along what an order does not see.
     """
-    if labels.learned is None or problem.blind is None or not labels.contradictions:
-        return labels
-    rows = np.flatnonzero(labels.known)[labels.learned.contradicted]
-    out = np.linalg.norm(problem.blind.displaced(labels.x[rows]), axis=1)
-    rows = rows[np.argsort(-out, kind="stable")][: np.count_nonzero(out > UNUSUAL)]
-    usual = problem.blind.undone(labels.x[rows])
-    new = [
-        k
-        for k, row in enumerate(rows)
-        if problem.traffic.contains(usual[k : k + 1])[0]
-        and not (labels.x == usual[k]).all(axis=1).any()
-        and _same(labels, usual[k], labels.u[row])
-    ][:N_TWINS]
+    rows, twins = _contradicted(problem, labels, unit)
     before = labels.n
-    labels = yield from ask(problem, labels, usual[new], replace(snapshot, phase="learn"))
+    labels = yield from ask(problem, labels, twins, replace(snapshot, phase="learn"))
     y = labels.y[before:]
-    differ = y != labels.y[rows[new]][: len(y)]
-    return labels.by_variables() if (differ & ~np.isnan(y)).any() else labels
+    differ = (y != labels.y[rows][: len(y)]) & ~np.isnan(y)
+    return labels.by_variables() if differ.any() else labels
 
 
 def most_runs(problem: Problem) -> int:
-    """Runs that such a look may take, but for those as usual."""
-    looks = _looks(problem.blind.n, problem.rng(0)) if problem.blind is not None else []
-    return sum(n for _, _, n in looks)
+    """Runs that such a look may take, but for twins."""
+    if problem.blind is None:
+        return 0
+    k, n_components = problem.blind.n, len(_components(problem))
+    return sum(n for _, _, n in _looks(k, problem.rng(0))) + 2 * k * n_components
 
 
-def _looks(k: int, rng: np.random.Generator) -> list[tuple[FloatArray, float, int]]:
-    """Where to look along k directions: a way (k,), a share of it, and how many runs."""
+def _contradicted(
+    problem: Problem, labels: Labels, unit: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Runs that contradict the order deeply, the oddest first, and their twins that are not known.
+
+    Twins have a run's own coordinates: as many as there are rows, N_TWINS at most.
+    """
+    none = np.empty(0, dtype=int), labels.x[:0]
+    if labels.learned is None or problem.blind is None or not labels.contradictions:
+        return none
+    rows = np.flatnonzero(labels.known)[labels.learned.contradicted]
+    out = np.linalg.norm(problem.blind.displaced(labels.x[rows]), axis=1)
+    odd = (out > UNUSUAL) & (_depths(labels, unit) > DEEP)
+    rows = rows[odd][np.argsort(-out[odd], kind="stable")]
+    pairs = ((row, _usual(problem, labels, labels.x[row])) for row in rows)
+    new = [
+        (row, twin)
+        for row, twin in pairs
+        if twin is not None and not (labels.x == twin).all(axis=1).any()
+    ][:N_TWINS]
+    if not new:
+        return none
+    return np.array([row for row, _ in new]), np.array([twin for _, twin in new])
+
+
+def _depths(labels: Labels, unit: FloatArray) -> FloatArray:
+    """How deep each contradicted outcome is contradicted at most, in units (m,)."""
+    gaps = labels.contradiction_gaps(unit)
+    if labels.learned is None or not gaps.size:
+        return np.empty(0)
+    crash = labels.learned.crash[labels.learned.contradicted]
+    depths = np.empty(len(crash))
+    depths[crash], depths[~crash] = gaps.max(axis=1), gaps.max(axis=0)
+    return depths
+
+
+def _looks(k: int, rng: np.random.Generator) -> list[Look]:
+    """Where to look along k directions."""
     axes = np.concatenate([np.eye(k), -np.eye(k)])
     if k <= 2:
         oblique = np.array(list(product((1, -1), repeat=2)))[:, :k] if k == 2 else axes[:0]
@@ -110,26 +148,60 @@ def _looks(k: int, rng: np.random.Generator) -> list[tuple[FloatArray, float, in
     return looks + [(way, OBLIQUE, 1) for way in between]
 
 
+def _components(problem: Problem) -> IntArray:
+    """Components of traffic that have looks of their own: none where there is one."""
+    traffic = problem.traffic
+    if traffic.n_components == 1:
+        return np.empty(0, dtype=int)
+    spread = np.sqrt(np.diagonal(traffic.covariance))
+    own = np.sqrt(np.diagonal(traffic.covariances, axis1=1, axis2=2)) / spread
+    places = np.column_stack([traffic.component_means / spread, np.log(own)])
+    everything = np.append(traffic.mean / spread, np.zeros(len(spread)))
+    all_of_them = np.arange(traffic.n_components)
+    return farthest_as_scaled(places, everything[None], all_of_them, N_COMPONENTS)
+
+
 def _safe_by_order(
     problem: Problem, labels: Labels, unit: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Situations (N, d), and their coordinates, that lie deep below a safe outcome.
 
-    In units (m,): a ripple at the edge is no crash. And none that is far less likely than the
-    likeliest crash.
+    In units (m,), but not beyond what there is of a coordinate: a ripple at the edge is no crash.
+    And none that is far less likely than the likeliest crash.
     """
     pool = wide_pool(problem, labels, rng)
     near = reachable(pool, likeliest(problem, labels))
-    safe = labels.implied(pool.u[near])[1] & labels.implied_deep(pool.u[near], DEEP * unit)
-    return pool.x[near[safe]], pool.u[near[safe]]
+    x, u = pool.x[near], pool.u[near]
+    most = np.maximum(pool.u.max(axis=0), labels.u.max(axis=0))
+    safe = labels.implied(u)[1] & labels.implied(np.minimum(u + DEEP * unit, most))[1]
+    return x[safe], u[safe]
 
 
 def _far_out(
-    blind: Blind, x: FloatArray, u: FloatArray, runs: FloatArray, rng: np.random.Generator
+    problem: Problem, x: FloatArray, u: FloatArray, runs: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Some of `x` (N, d) far out along what is left out, the most dangerous else."""
+    blind, traffic, found = problem.blind, problem.traffic, x[:0]
+    if blind is None or not len(x):
+        return found
+    found = _along(blind, _looks(blind.n, rng), x, u, runs)
+    owner = traffic.log_component_densities(x).argmax(axis=1)
+    axes = np.concatenate([np.eye(blind.n), -np.eye(blind.n)])
+    for c in _components(problem):
+        own = owner == c
+        inside = blind.within(traffic.means[c], traffic.covariances[c])
+        looks = [(way, OF_COMPONENT, 1) for way in axes]
+        known = np.concatenate([runs, found])
+        found = np.concatenate([found, _along(inside, looks, x[own], u[own], known)])
+    return found
+
+
+def _along(
+    blind: Blind, looks: list[Look], x: FloatArray, u: FloatArray, runs: FloatArray
+) -> FloatArray:
+    """Some of `x` (N, d) where `looks` lead, the most dangerous else."""
     displaced, found = blind.displaced(x), x[:0]
-    for way, share, n in _looks(blind.n, rng):
+    for way, share, n in looks:
         along = displaced @ way
         far = np.flatnonzero((along > 0) & (along >= share * along.max(initial=0.0)))
         known = np.concatenate([runs, found])
@@ -158,17 +230,31 @@ def _twins(
         return crashed[:0]
     displaced = np.square(problem.blind.displaced(x)).sum(axis=1)
     found = []
-    for crash, usual in zip(crashed, problem.blind.undone(crashed), strict=True):
-        danger = labels.coordinates(crash[None])
-        if problem.traffic.contains(usual[None])[0] and _same(labels, usual, danger):
+    for crash in crashed:
+        if (usual := _usual(problem, labels, crash)) is not None:
             found.append(usual)
             continue
+        danger = labels.coordinates(crash[None])
         above = np.flatnonzero((u >= danger).all(axis=1) & (x != crash).any(axis=1))
         if len(above):
             found.append(x[above[displaced[above].argmin()]])
     return np.array(found).reshape(-1, x.shape[1])
 
 
-def _same(labels: Labels, x: FloatArray, u: FloatArray) -> bool:
-    """Whether situation `x` (d,) has the coordinates `u` (1, m)."""
-    return bool(np.allclose(labels.coordinates(x[None]), u, rtol=SAME, atol=SAME))
+def _usual(problem: Problem, labels: Labels, x: FloatArray) -> FloatArray | None:
+    """Situation `x` (d,) as usual along what the order does not see, its coordinates the same.
+
+    Along all of it, or else along one direction; None where that changes the coordinates, leaves
+    traffic's box or moves it by next to nothing.
+    """
+    if problem.blind is None:
+        return None
+    moved = problem.blind.undone(x[None])[0]
+    moved = moved[problem.traffic.contains(moved)]
+    out = problem.blind.displaced(np.concatenate([x[None], moved]))
+    far = np.linalg.norm(out[1:] - out[0], axis=1) > UNUSUAL
+    u = labels.coordinates(x[None])
+    for twin in moved[far]:
+        if np.allclose(labels.coordinates(twin[None]), u, rtol=SAME, atol=SAME):
+            return np.asarray(twin)
+    return None

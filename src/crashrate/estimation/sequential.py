@@ -54,6 +54,9 @@ ENCOUNTERS, MORE, FOLLOWING = 2_000_001, 3_000_000, 4_000_000
 N_LINES = 2  # two more than variables taught less of the edge than the rounds they would pay for
 START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
+# Contradicted outcomes, and their share of all, at which an order that leaves something out goes:
+# a few low crashes may account for all of them.
+MANY_ODD, ODD_SHARE = 20, 1 / 3
 Learner = Generator[Query, FloatArray, Snapshot]
 
 
@@ -196,7 +199,8 @@ def _round(
         rounds = state.rounds
     else:
         labels, rounds = yield from _estimate(problem, state, view, snapshot, rng)
-    labels = yield from check_contradicted(problem, labels, snapshot)
+    unit = model.standardise.unit
+    labels = yield from check_contradicted(problem, labels, unit, snapshot)
     free = not state.directed
     seen = Standardiser.weighted(view.pool.u, view.learning, view.breadth, free=free)
     standardise = model.standardise.or_else(seen)
@@ -269,11 +273,17 @@ def _estimate(
     return labels, (*state.rounds, found)
 
 
+def _is_odd(labels: Labels) -> bool:
+    """Whether so many outcomes contradict the order that few others could be what is odd."""
+    return labels.contradictions > max(MANY_ODD, ODD_SHARE * labels.n)
+
+
 def _distrust(problem: Problem, state: State, view: View) -> State:
     """Drop assumptions that the outcomes speak against."""
     found = verdict(state.labels, state.model.standardise.unit)
     given_up = problem.order is not None and state.labels.order is None and state.directed
-    if given_up or (found is not Verdict.STANDS and problem.blind is not None):  # what it fails by
+    fails = found is not Verdict.STANDS or _is_odd(state.labels)
+    if given_up or (fails and problem.blind is not None):  # what it does not see may be why
         return by_variables(problem, state, state.labels.by_variables())
     if found is not Verdict.STANDS:
         return replace(

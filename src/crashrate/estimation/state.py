@@ -63,6 +63,8 @@ class State:
         The tightest target for which the last of them met no surprise, or they were at an end.
     surprised : bool
         Whether the last of them met one.
+    tested : bool
+        Whether what the order does not see was, as far as it is.
     followed : tuple of int
         Rows of the labels beside which was looked, or that were asked for it.
     """
@@ -85,6 +87,7 @@ class State:
     n_surveys: int = 0
     surveyed_for: float = math.inf
     surprised: bool = False
+    tested: bool = False
     followed: tuple[int, ...] = ()
 
     @property

@@ -42,9 +42,12 @@ def _require_varying(names: Sequence[str], u: FloatArray) -> None:
 
 
 def _require_agreeing(names: Sequence[str], u: FloatArray) -> None:
-    """Of two coordinates one must not fall wherever the other rises: no two situations compare."""
+    """Of two coordinates one must not fall wherever the other rises: no two situations compare.
+
+    (Where one is level between situations they do.)
+    """
     for i, j in combinations(range(len(names)), 2):
-        if np.all(np.diff(u[np.argsort(u[:, i]), j]) <= 0):
+        if np.all(np.diff(u[np.argsort(u[:, i]), j]) < 0):
             raise InvalidInputError(
                 f"risk coordinates {names[i]!r} and {names[j]!r}: expected claims that can hold "
                 "together, got two of which one falls wherever the other rises; one of the "
