@@ -30,7 +30,7 @@ def test_unusable_coordinates_are_refused(u, words):
     "u", [[A, B], [A, A], [A, 0.01 * B - A], [A, np.floor(B)], [A, np.minimum(-A, 0.5)], [A]]
 )
 def test_others_are_not(u):
-    require_usable("ab"[: len(u)], np.column_stack(u))
+    assert require_usable("ab"[: len(u)], np.column_stack(u)) is None
 
 
 def test_they_cost_no_run(cases):
