@@ -25,7 +25,7 @@ def last_look(
     """Look once more before the answer stands: first at what the order leaves out."""
     if state.n_surveys < MAX_SURVEYS:
         running = replace(snapshot, stop_reason=StopReason.RUNNING)
-        tested, whole = yield from _left_out(problem, state, running)
+        tested, whole = yield from left_out(problem, state, running)
         before, now = state.labels, tested.labels
         if not whole or now.order is not before.order or now.contradictions > before.contradictions:
             return tested  # with rounds to come, if the budget leaves any
@@ -33,7 +33,7 @@ def last_look(
     return (yield from _survey(problem, state, snapshot, surrogate, model))
 
 
-def _left_out(
+def left_out(
     problem: Problem, state: State, snapshot: Snapshot
 ) -> Generator[Query, FloatArray, tuple[State, bool]]:
     """See whether a variable that the order leaves out matters, and if so begin anew by variables.

@@ -28,7 +28,7 @@ from crashrate.estimation.following import look_closer
 from crashrate.estimation.hindsight import design
 from crashrate.estimation.kernels import Model
 from crashrate.estimation.labels import Labels
-from crashrate.estimation.last_look import SURVEYS, last_look, surveyed
+from crashrate.estimation.last_look import SURVEYS, last_look, left_out, surveyed
 from crashrate.estimation.leaving_out import check_contradicted
 from crashrate.estimation.probing import ask, vouched_safe
 from crashrate.estimation.refutation import Verdict, verdict
@@ -82,6 +82,7 @@ def sequential(problem: Problem) -> Learner:
         rng = problem.rng(FOLLOWING + state.k)
         closer = yield from look_closer(problem, state, view, snapshot, rng)
         state = state if closer is state else _distrust(problem, closer, view)
+        state = yield from _tested_early(problem, state, snapshot)
         snapshot = answer(problem, state, view)
         if snapshot.stop_reason is not StopReason.RUNNING:
             state, view, snapshot = yield from _checked(problem, state, view)
@@ -101,6 +102,18 @@ def sequential(problem: Problem) -> Learner:
                 return replace(bounded, belief=_belief(state))
         snapshot = replace(snapshot, stop_reason=StopReason.RUNNING)
     return replace(_last_word(problem, state, view, snapshot), belief=_belief(state))
+
+
+def _tested_early(
+    problem: Problem, state: State, snapshot: Snapshot
+) -> Generator[Query, FloatArray, State]:
+    """Where outcomes contradict an order what it does not see may be why: that is tested at once.
+
+    Its coordinates leave such outcomes random, and the target may be far.
+    """
+    if problem.blind is None or state.tested or not (state.ordered and state.labels.contradictions):
+        return state
+    return (yield from left_out(problem, state, snapshot))[0]
 
 
 def _checked(
