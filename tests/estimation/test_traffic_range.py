@@ -20,14 +20,16 @@ EXACT = norm.sf(LEVEL - np.array(SHIFTS))
 def member(shift, scales=None):
     mean = np.full((1, 2), shift / math.sqrt(2))
     lower = [0.0, -np.inf] if scales else [-np.inf] * 2
-    return TrafficModel([1.0], mean, np.eye(2)[None], lower, [np.inf] * 2, "ab", scales=scales)
+    return TrafficModel(
+        [1.0], mean, np.eye(2)[None], lower, [np.inf] * 2, ["a", "b"], scales=scales
+    )
 
 
 def family(scales=None, shifts=SHIFTS):
     members = [member(shift, scales) for shift in shifts]
     first = members[0]
     return TrafficModel(
-        first.weights, first.means, first.covariances, first.lower, first.upper, "ab",
+        first.weights, first.means, first.covariances, first.lower, first.upper, ["a", "b"],
         scales=scales, members=members,
     )  # fmt: skip
 

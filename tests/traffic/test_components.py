@@ -12,7 +12,7 @@ from crashrate.traffic.model import TrafficModel
 def law():
     eye = np.eye(2)
     return TrafficModel(
-        [0.5, 0.5], [[0.0, 0.0], [5.0, 2.0]], [eye, 0.5 * eye], [0.0, 0.0], [np.inf] * 2, "ab"
+        [0.5, 0.5], [[0.0, 0.0], [5.0, 2.0]], [eye, 0.5 * eye], [0.0, 0.0], [np.inf] * 2, ["a", "b"]
     )
 
 

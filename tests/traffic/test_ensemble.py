@@ -22,7 +22,7 @@ BOX = {"lower": [0.0, -np.inf]}
 def law(shift=0.0):
     return TrafficModel(
         [0.7, 0.3], [[1.0 + shift, 0.0], [4.0, 2.0]], [np.eye(2), 0.5 * np.eye(2)],
-        [0.0, -np.inf], [np.inf] * 2, "ab",
+        [0.0, -np.inf], [np.inf] * 2, ["a", "b"],
     )  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def test_a_task_without_bootstrap_is_the_plain_fit(events):
 
 def family():
     return law().__class__(
-        law().weights, law().means, law().covariances, law().lower, law().upper, "ab",
+        law().weights, law().means, law().covariances, law().lower, law().upper, ["a", "b"],
         members=[law(), law(0.5), law(1.0)],
     )  # fmt: skip
 
@@ -137,7 +137,7 @@ def test_members_are_kept_by_files_and_checked():
     assert again.members == model.members
     other = TrafficModel([1.0], [[0.0]], [[[1.0]]], [1.0], [9.0], ["a"])
     with pytest.raises(InvalidInputError, match=r"members\[0\]: expected the lower"):
-        TrafficModel([1.0], [[0.0]], [[[1.0]]], [0.0], [9.0], "a", members=[other])
+        TrafficModel([1.0], [[0.0]], [[[1.0]]], [0.0], [9.0], ["a"], members=[other])
 
 
 def test_a_model_is_its_own_first_member(events):

@@ -16,7 +16,7 @@ def law(n_components):
     centres = [[1.0, 0.0], [9.0, 3.0], [4.0, -8.0]][:n_components]
     return TrafficModel(
         np.full(n_components, 1 / n_components), centres, [np.eye(2)] * n_components,
-        [0.0, -np.inf], [np.inf] * 2, "ab",
+        [0.0, -np.inf], [np.inf] * 2, ["a", "b"],
     )  # fmt: skip
 
 

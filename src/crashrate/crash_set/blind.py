@@ -83,7 +83,7 @@ def _slopes(order: RiskOrder, traffic: TrafficModel) -> FloatArray:
     """Slopes (n, m, d) of the risk coordinates, those that are finite."""
     usual = traffic.sample(N_TRIED, np.random.default_rng(0))
     far = traffic.mean + FAR * (usual - traffic.mean)  # a coordinate may be level where crashes are
-    x = np.clip(np.concatenate([usual, far]), traffic.lower, traffic.upper)
+    x = np.concatenate([usual, _inside(far, usual, traffic)])
     short, long = (_secants(order, traffic, x, step) for step in (SHORT, LONG))
     flat = ~short.any(axis=2, keepdims=True)
     slopes = np.where(flat, long, short)
@@ -95,12 +95,22 @@ def _secants(order: RiskOrder, traffic: TrafficModel, x: FloatArray, step: float
     slopes = np.empty((len(x), order.n_coordinates, x.shape[1]))
     for i, size in enumerate(step * np.sqrt(np.diagonal(traffic.covariance))):
         low, high = x.copy(), x.copy()
-        low[:, i] = np.maximum(x[:, i] - size, traffic.lower[i])
-        high[:, i] = np.minimum(x[:, i] + size, traffic.upper[i])
+        low[:, i] -= size
+        high[:, i] += size
+        low, high = _inside(low, x, traffic), _inside(high, x, traffic)
         for k in range(order.n_coordinates):
             rise = order.coordinate(k, high) - order.coordinate(k, low)
             slopes[:, k, i] = rise / (high[:, i] - low[:, i])
     return slopes
+
+
+def _inside(x: FloatArray, start: FloatArray, traffic: TrafficModel) -> FloatArray:
+    """`x` (n, d), where it is outside traffic's box half way to the bound, from `start` inside.
+
+    (A coordinate over a range may be infinite on the bound itself.)
+    """
+    bound = np.clip(x, traffic.lower, traffic.upper)
+    return np.where(x == bound, x, (start + bound) / 2)
 
 
 def _unseen(slopes: FloatArray) -> FloatArray:

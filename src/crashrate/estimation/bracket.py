@@ -123,7 +123,7 @@ def _begin(problem: Problem, explored: Explored) -> State:
 
 def _close(problem: Problem, state: State) -> Generator[Query, FloatArray, State]:
     """Rounds until the bracket is as close as wanted, or the audit's turn has come."""
-    while (room := _room(problem, state.labels.n)) > 0 and state.over is StopReason.RUNNING:
+    while (room := _room(problem, state)) > 0 and state.over is StopReason.RUNNING:
         state, gap = yield from _round(problem, state, room)
         if _refuted(state):
             break
@@ -133,10 +133,11 @@ def _close(problem: Problem, state: State) -> Generator[Query, FloatArray, State
     return state
 
 
-def _room(problem: Problem, n: int) -> int:
+def _room(problem: Problem, state: State) -> int:
     """Runs that may still go into closing: the others of the budget in force audit the order."""
+    n = state.labels.n
     budget = problem.budget_at(n)
-    tests = min(most_runs(problem), budget // 2)
+    tests = 0 if state.tested else min(most_runs(problem), budget // 2)
     return budget - min(MAX_AUDITS, round(AUDITED * budget)) - tests - n
 
 
@@ -227,8 +228,9 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
     snapshot = replace(_standing(labels, _bounds(problem, state)), phase="audit")
     scale = state.model.standardise.unit
     in_force = replace(problem, max_calls=problem.budget_at(n))
-    labels, whole = yield from check_left_out(in_force, labels, scale, rng, snapshot)
-    state = replace(state, tested=state.tested or whole)
+    if not state.tested:
+        labels, whole = yield from check_left_out(in_force, labels, scale, rng, snapshot)
+        state = replace(state, tested=whole)
     n_runs = min(MAX_AUDITS, share, room - (labels.n - n))
     if labels.learned is None or n_runs < 1:
         return replace(state, labels=labels)
@@ -274,12 +276,11 @@ def _bounds(problem: Problem, state: State) -> tuple[float, float]:
 
 def _reason(problem: Problem, state: State) -> StopReason:
     """Why it ends, or RUNNING where target or budget are others now than when it was audited."""
-    n = state.labels.n
     if _meets(problem, state, _bounds(problem, state)):
         return StopReason.TARGET_MET
     if state.over is StopReason.ALL_DECIDED:
         return state.over
-    return StopReason.RUNNING if _room(problem, n) > 0 else StopReason.BUDGET_ENDED
+    return StopReason.RUNNING if _room(problem, state) > 0 else StopReason.BUDGET_ENDED
 
 
 def _end(problem: Problem, state: State, reason: StopReason) -> Snapshot:
