@@ -117,6 +117,14 @@ def test_a_budget_that_ends_before_the_test_says_so(cases):
     assert Alarm.LEFT_OUT_UNTESTED not in all_seen.alarms
 
 
+def test_where_nothing_is_held_safe_far_out_the_answer_says_so(cases, monkeypatch):
+    nothing = np.empty((0, 3)), np.empty((0, 2))
+    monkeypatch.setattr(leaving_out, "_safe_by_order", lambda *_: nothing)
+    study = found(cases, by_two, 0)
+    assert study.stop_reason is StopReason.TARGET_MET
+    assert Alarm.LEFT_OUT_UNTESTED in study.alarms
+
+
 def test_two_variables_that_only_matter_together_are_looked_at_together(cases):
     crash = lambda x: (x[:, 0] > 4.3) | (x[:, 1:].min(axis=1) > 2.7)  # noqa: E731
     p = 1 - norm.cdf(4.3) * (1 - norm.sf(2.7) ** 2)

@@ -54,9 +54,9 @@ class Alarm(StrEnum):
         "along it, or no order"
     )
     LEFT_OUT_UNTESTED = (
-        "the risk order does not see some variable, or some direction, and the budget ended before "
-        "that was tested: crashes that depend on it are in neither the estimate nor its interval; "
-        "a larger budget tests it"
+        "the risk order does not see some variable, or some direction, and that was not tested, "
+        "for the budget ended before, or no outcome implies safety far out along it: crashes that "
+        "depend on it are in neither the estimate nor its interval"
     )
     NEARLY_ALL_CRASH = (
         "nearly every ordinary encounter would crash: check that the simulator returns true for a "

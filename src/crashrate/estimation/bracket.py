@@ -230,7 +230,7 @@ def _audit(problem: Problem, state: State) -> Generator[Query, FloatArray, State
     in_force = replace(problem, max_calls=problem.budget_at(n))
     if not state.tested:
         labels, whole = yield from check_left_out(in_force, labels, scale, rng, snapshot)
-        state = replace(state, tested=whole)
+        state = replace(state, tested=whole and labels.n > n)
     n_runs = min(MAX_AUDITS, share, room - (labels.n - n))
     if labels.learned is None or n_runs < 1:
         return replace(state, labels=labels)

@@ -46,7 +46,7 @@ def left_out(
         return by_variables(problem, state, labels), whole
     contradicted = labels.contradictions > state.labels.contradictions
     n_surveys = state.n_surveys + contradicted  # another look comes, as after a surprise
-    tested = state.tested or whole
+    tested = state.tested or (whole and labels.n > state.labels.n)
     return replace(state, labels=labels, n_surveys=n_surveys, tested=tested), whole
 
 
