@@ -42,6 +42,13 @@ def what_came(array: npt.NDArray[np.generic]) -> str:
     return f"shape {array.shape} of dtype {array.dtype}"
 
 
+def event_alone(told: Told) -> Told:
+    """What a mapping holds that tells of nothing but the event; anything else as it is."""
+    if isinstance(told, Mapping) and len(told) == 1:
+        return next(iter(told.values()))
+    return told
+
+
 def _outcomes(n: int) -> str:
     return "1 outcome, for 1 situation" if n == 1 else f"{n} outcomes, one per situation asked for"
 
@@ -56,8 +63,7 @@ def told_table(told: Told, n: int, names: Sequence[str]) -> FloatArray:
     """
     if names:
         return outcome_table(told, n, names, "tell", InvalidInputError)
-    if isinstance(told, Mapping) and len(told) == 1:
-        told = next(iter(told.values()))
+    told = event_alone(told)
     if isinstance(told, Mapping):
         raise InvalidInputError(
             f"tell: expected {_outcomes(n)}, got a mapping of {', '.join(map(str, told))}; declare "

@@ -6,6 +6,7 @@ on them.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
@@ -55,7 +56,7 @@ class Blind:
         """Number k of directions."""
         return int(self.ways.shape[1])
 
-    @property
+    @cached_property
     def directions(self) -> FloatArray:
         """Orthonormal in standard units, (d, k), along their axes where it can be."""
         basis = np.linalg.qr(solve_triangular(self.factor, self.ways, lower=True))[0]

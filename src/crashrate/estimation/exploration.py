@@ -104,8 +104,9 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
     ordinary = problem.traffic.sample(N_ORDINARY, rng)
     if problem.order is not None:
         # from a stream of its own: whether an order can be used does not depend on the seed
-        usual = wide_pool(problem, labels, np.random.default_rng(0))
-        require_usable(problem.order.names, usual.u)
+        x = inflated(problem.traffic, factors(INFLATION)).sample(N_WIDE, np.random.default_rng(0))
+        u = labels.coordinates(x[problem.traffic.contains(x)])
+        require_usable(problem.order.names, u)
         labels, wide, pool = yield from _inflate(problem, labels, rng)
         if (labels.y == 1).any():
             labels = yield from probe(problem, labels, pool)

@@ -135,7 +135,7 @@ def _depths(labels: Labels, unit: FloatArray) -> FloatArray:
 
 def _looks(k: int, rng: np.random.Generator) -> list[Look]:
     """Where to look along k directions."""
-    axes = np.concatenate([np.eye(k), -np.eye(k)])
+    axes = _axes(k)
     if k <= 2:
         oblique = np.array(list(product((1, -1), repeat=2)))[:, :k] if k == 2 else axes[:0]
         ways = np.concatenate([axes, oblique / np.sqrt(2)])
@@ -146,6 +146,11 @@ def _looks(k: int, rng: np.random.Generator) -> list[Look]:
     np.put_along_axis(between, pairs, rng.choice((-1.0, 1.0), pairs.shape) / np.sqrt(2), axis=1)
     looks = [(way, share, 1) for way in axes for share in shares]
     return looks + [(way, OBLIQUE, 1) for way in between]
+
+
+def _axes(k: int) -> FloatArray:
+    """Both ways along each of k directions, (2 k, k)."""
+    return np.concatenate([np.eye(k), -np.eye(k)])
 
 
 def _components(problem: Problem) -> IntArray:
@@ -186,11 +191,10 @@ def _far_out(
         return found
     found = _along(blind, _looks(blind.n, rng), x, u, runs)
     owner = traffic.log_component_densities(x).argmax(axis=1)
-    axes = np.concatenate([np.eye(blind.n), -np.eye(blind.n)])
     for c in _components(problem):
         own = owner == c
         inside = blind.within(traffic.means[c], traffic.covariances[c])
-        looks = [(way, OF_COMPONENT, 1) for way in axes]
+        looks = [(way, OF_COMPONENT, 1) for way in _axes(blind.n)]
         known = np.concatenate([runs, found])
         found = np.concatenate([found, _along(inside, looks, x[own], u[own], known)])
     return found

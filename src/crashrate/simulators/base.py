@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crashrate.errors import SimulationError
-from crashrate.outcomes import Told, outcome_table, what_came
+from crashrate.outcomes import Told, event_alone, outcome_table, what_came
 from crashrate.variables import FloatArray
 
 
@@ -52,8 +52,7 @@ def check_outcomes(
     """
     if consequences:
         return outcome_table(outcomes, n, consequences, what, SimulationError)
-    if isinstance(outcomes, Mapping) and len(outcomes) == 1:
-        outcomes = next(iter(outcomes.values()))
+    outcomes = event_alone(outcomes)
     if isinstance(outcomes, Mapping):
         raise SimulationError(
             f"{what}: expected one outcome per row, shape ({n},), got a mapping of "
