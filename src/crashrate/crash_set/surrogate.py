@@ -30,7 +30,7 @@ class Prior:
     """Gaussian-process prior of the latent danger: a plane plus a smooth bump.
 
     k(u, v) = s² (linear (1 + u·v) + bump exp(-|u - v|² / 2 length²)),
-    mean(u) = s (constant + slope Σu / √m).
+    mean(u) = s slope Σu / √m + constant √k(u, u).
 
     Where it is additive the bump is a sum of one for each coordinate, the mean over i of
     exp(-(u_i - v_i)² / 2 length²): what one coordinate adds does not depend on the others, and few
@@ -42,8 +42,11 @@ class Prior:
         Weight and length of the squared-exponential part, `u` standardised.
     variance : float
         s²: large values make sharp labels.
-    linear, slope, constant : float
+    linear, slope : float
         Of the plane; a positive slope says that danger grows with every coordinate.
+    constant : float
+        Of the mean, in prior standard deviations: how far below the edge all is that no label tells
+        of, as surely far away, where a plane may be anything, as near by.
     additive : bool
     """
 
@@ -57,8 +60,9 @@ class Prior:
 
     def mean(self, u: FloatArray) -> FloatArray:
         """Prior mean at `u` (n, m), shape (n,)."""
-        plane: FloatArray = self.constant + self.slope * u.sum(axis=1) / math.sqrt(u.shape[1])
-        return math.sqrt(self.variance) * plane
+        plane = self.slope * u.sum(axis=1) / math.sqrt(u.shape[1])
+        below = self.constant * np.sqrt(self.variances(u))
+        return np.asarray(math.sqrt(self.variance) * plane + below)
 
     def covariance(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Prior covariance between `u` (n, m) and `v` (k, m), shape (n, k)."""

@@ -36,9 +36,13 @@ MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
-# Without an order: shares of traffic's probability that are left out, and runs. The first few, far
-# out, find what lies beyond a bound however rare it is; small sets lie among what is less rare.
-FILLING = ((NEGLIGIBLE_MASS, 15), (1e-7, 135), (NEGLIGIBLE_MASS, 50))
+# Without an order: shares of traffic's probability that are left out, runs, and whether they keep
+# away from the border. The first few, far out, find what lies beyond a bound however rare it is;
+# small sets lie among what is less rare.
+FILLING = ((NEGLIGIBLE_MASS, 15, False), (1e-7, 135, True), (NEGLIGIBLE_MASS, 50, False))
+# A run on the border of what is reached sees half as much as one within. In more variables nearly
+# everything is near it, and corners, which are found beyond it, are what there is to find.
+WITH_BORDER = 2
 MAX_SPREAD = 0.5  # standard deviation of an inflated component, in widths of the box
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
@@ -212,11 +216,13 @@ def _fill_space(
     Mostly where events that are not the rarest would be: the space beyond is as large again.
     """
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-    for least, most in FILLING:
+    for least, most, within in FILLING:
         rows = reachable(pool, least=least)
-        u = pool.u[rows]
+        u, beyond = pool.u[rows], None
+        if within and u.shape[1] <= WITH_BORDER:
+            beyond = np.delete(pool.u, rows, axis=0)
         # the places do not depend on outcomes, only how many of them are simulated
-        for row in rows[farthest(u, labels.u, np.arange(len(u)), most)]:
+        for row in rows[farthest(u, labels.u, np.arange(len(u)), most, beyond)]:
             if (labels.y == 1).any() or labels.n >= problem.max_calls:
                 return labels
             labels = yield from ask(problem, labels, pool.x[row : row + 1])

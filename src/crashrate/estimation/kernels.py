@@ -153,5 +153,4 @@ def _prior(kernel: Kernel, d: int, *, directed: bool) -> Prior:
         slope = 1.0 if directed else 0.0
         return Prior(bump, length, variance, 1.0, slope=slope, constant=0.0, additive=additive)
     # without an order no direction is riskier, and far from any crash is safe
-    far = FAR_SAFE * math.sqrt(bump + LINEAR)
-    return Prior(bump, length, variance, LINEAR, slope=0.0, constant=far, additive=additive)
+    return Prior(bump, length, variance, LINEAR, slope=0.0, constant=FAR_SAFE, additive=additive)
