@@ -5,6 +5,7 @@ import pytest
 
 from crashrate.crash_set.order import RiskOrder
 from crashrate.errors import InvalidInputError
+from crashrate.estimation import exploration
 from crashrate.estimation.exploration import (
     MAX_INFLATIONS,
     RUNS_PER_LINE,
@@ -79,6 +80,29 @@ def test_without_an_order_a_rare_half_space_is_found_in_a_few_runs(cases, drive,
         first = int(np.argmax(found.labels.y == 1)) + 1
         assert found.labels.crashes.size
         assert first <= 15
+
+
+def test_without_an_order_a_small_disc_is_found_sooner_off_the_border(cases, drive, monkeypatch):
+    """Of probability 1e-6, at any angle: much of what traffic reaches is near the border of it."""
+
+    def runs():
+        return np.array([found_after(angle) for angle in np.arange(0.0, 2 * np.pi, 0.6)])
+
+    def found_after(angle):
+        center = 4.838 * np.array([np.cos(angle), np.sin(angle)])
+
+        def disc(x):
+            return (np.hypot(*(x - center).T) < 0.4035).astype(float)
+
+        problem = problem_of(cases.half_plane(1e-6), risk=None)
+        return drive(explore(problem, 2), disc)[0].n_filling
+
+    monkeypatch.setattr(exploration, "N_WIDE", 20_000)
+    off = runs()
+    monkeypatch.setattr(exploration, "WITH_BORDER", 0)
+    on = runs()
+    assert off.mean() < on.mean() - 10
+    assert (off < 200).sum() > (on < 200).sum()
 
 
 def test_an_order_whose_most_dangerous_situations_are_safe_is_dropped(cases, drive):

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from crashrate.crash_set.order import RiskOrder
 from crashrate.crash_set.surrogate import Prior, fit_surrogate
 from crashrate.estimation import kernels, telling
-from crashrate.estimation.kernels import ADDITIVE, KERNELS, N_RIVALS, SOFT, Kernel, Model
+from crashrate.estimation.kernels import ADDITIVE, KERNELS, N_RIVALS, SHAPES, SOFT, Kernel, Model
 from crashrate.estimation.labels import Labels
 from crashrate.estimation.strategy import Problem
 from crashrate.estimation.view import FAR, Standardiser
@@ -119,9 +119,26 @@ def test_kernels_are_chosen_anew_where_labels_grew_or_it_is_asked_for(cases, mon
 @pytest.mark.parametrize("bump", [0.1, 3.0])
 def test_far_from_every_run_is_safe_without_an_order_whatever_the_kernel(bump):
     prior = kernels._prior(Kernel(bump, 1.0, 1e4), 2, directed=False)
-    far = np.array([[2.0, 2.0]])
+    far = np.array([[2.0, 2.0], [20.0, -20.0]])
     deviations = prior.mean(far) / np.sqrt(prior.variances(far))
-    assert ndtr(deviations[0]) < FAR
+    assert (ndtr(deviations) < FAR).all()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_other_side_of_traffic_is_safe_where_crashes_lie_in_a_small_disc(cases, shape):
+    """Where coordinates are scaled to a disc most of traffic is far: a plane could rise there."""
+    center, rng = np.array([4.6, 1.5]), np.random.default_rng(2)
+
+    def disc(x):
+        return (np.hypot(*(x - center).T) < 0.4).astype(float)
+
+    x = np.concatenate([rng.standard_normal((30, 2)), center + 0.4 * rng.standard_normal((40, 2))])
+    labels = Labels.empty(Problem(traffic=cases.half_plane(0.2).traffic)).add(x, disc(x))
+    scaled = Standardiser(center, np.full(2, 0.25), np.full(2, 0.25))
+    kernel = Kernel(*shape, 1e4)
+    fits = Model(scaled)._fits(labels, NONE, (kernel,), directed=False)
+    h = fits[kernel][0].predict(scaled(rng.standard_normal((5000, 2)) - [1.0, 0.5])).probability
+    assert (h < FAR).all()
 
 
 def test_inference_that_oscillates_is_no_candidate_where_soft_kernels_are():
