@@ -20,12 +20,10 @@ WIDEN = 1.3
 SHARES, BESIDE = (0.7, 0.1, 0.1, 0.1), 9.0
 
 
-def aim(
-    traffic: TrafficModel, views: Sequence[View], rng: np.random.Generator, *, ordered: bool
-) -> Blend:
+def aim(traffic: TrafficModel, views: Sequence[View], rng: np.random.Generator) -> Blend:
     """A proposal fitted to `views` of one pool in equal parts, and three defensive shares."""
     pool = views[0].pool
-    aims = [p for view in views for p in _aims(view, ordered=ordered)]
+    aims = [p for view in views for p in _aims(view)]
     rows = np.concatenate([rng.choice(len(pool.x), N_FIT, p=p) for p in aims])
     fitted = fit_gaussians(pool.x[rows], N_COMPONENTS, rng)
     fitted = replace(fitted, covariances=fitted.covariances * WIDEN)
@@ -44,8 +42,8 @@ def beside(proposal: Density, pool: Pool) -> FloatArray:
     return np.asarray(np.exp(log - pool.log_q))
 
 
-def _aims(view: View, *, ordered: bool) -> list[FloatArray]:
+def _aims(view: View) -> list[FloatArray]:
     aims = [view.target, view.learning]
-    if ordered and (undecided := view.weights * view.undecided).sum() > 0:
+    if view.ordered and (undecided := view.weights * view.undecided).sum() > 0:
         aims.append(undecided / undecided.sum())
     return aims

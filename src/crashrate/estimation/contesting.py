@@ -38,7 +38,7 @@ def _draws(
     problem: Problem, belief: Belief, rival: Surrogate, n: int, rng: np.random.Generator
 ) -> FloatArray:
     first = _view(problem, belief, rival, belief.proposal, rng)
-    proposal = aim(problem.traffic, (first,), rng, ordered=belief.ordered)
+    proposal = aim(problem.traffic, (first,), rng)
     view = _view(problem, belief, rival, proposal, rng)
     mass = view.weights * view.h
     if not mass.sum() > 0:

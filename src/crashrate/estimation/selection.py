@@ -56,11 +56,9 @@ def audit(view: View, n: int, rng: np.random.Generator) -> IntArray:
     return np.unique(rng.choice(len(implied), n, p=normalised(implied)))
 
 
-def to_learn(
-    view: View, n: int, audits: IntArray, rng: np.random.Generator, *, ordered: bool
-) -> IntArray:
+def to_learn(view: View, n: int, audits: IntArray, rng: np.random.Generator) -> IntArray:
     """`n` draws that teach most about the crash set: half by dominance or audits, half by doubt."""
-    first = aside(view, n // 2 if ordered else 0, audits, rng)
+    first = aside(view, n // 2 if view.ordered else 0, audits, rng)
     rest = rng.choice(len(view.h), n - len(first), p=view.learning)
     return np.unique(np.concatenate([first, rest]).astype(int))
 
@@ -137,7 +135,7 @@ def estimating(view: View) -> FloatArray:
     spread = normalised(view.aimed_spread)
     # without an order all is undecided, nearly all of it ordinary traffic: half goes elsewhere
     undecided = view.weights * view.undecided
-    if not view.implied_safe.any():
+    if not view.ordered:
         undecided = normalised(undecided) + normalised(view.alike * view.undecided)
     likely = np.where(view.inner, 1.0, view.surrogate_h)
     parts = (

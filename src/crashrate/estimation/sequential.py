@@ -201,12 +201,13 @@ def _round(
         proposal = _aim(problem, state, _see(problem, state, surrogate, proposal, rng), rng)
     view = _see(problem, state, surrogate, proposal, rng)
     wanted = towards(view, state.members)
+    state = state.foreseeing(view.probability)
     unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
-    learning = bool(unsure) and state.may_learn
+    learning = bool(unsure or not state.steady) and state.may_learn
     if learning:
         n = size_to_learn(problem, state)
         audits = _audits(problem, state, wanted, n, rng)
-        rows = to_learn(wanted, n, audits, rng, ordered=state.ordered)
+        rows = to_learn(wanted, n, audits, rng)
         snapshot = replace(snapshot, phase="learn")
         labels = yield from ask(problem, state.labels, view.pool.x[rows], snapshot)
         rounds = state.rounds
@@ -257,7 +258,7 @@ def _see(
 def _aim(problem: Problem, state: State, view: View, rng: np.random.Generator) -> Density:
     """Where the next pool is drawn: for the average, and for the members looked at."""
     views = (view, towards(view, state.members)) if state.members else (view,)
-    return aim(problem.traffic, views, rng, ordered=state.ordered)
+    return aim(problem.traffic, views, rng)
 
 
 def _estimate(

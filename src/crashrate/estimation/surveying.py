@@ -38,11 +38,12 @@ from crashrate.estimation.view import normalised, see
 from crashrate.sampling.pool import draw_pool
 from crashrate.variables import FloatArray
 
-# Without an order, before anything is estimated: runs in the emptiest places, and where a crash
-# would be likelier than known ones. So many, half as many again as a lattice has, would fill
-# traffic up to FILLED standard deviations, with this share of its volume to each.
+# Without an order, before anything is estimated: runs in the emptiest places, and for each variable
+# (as if there were FEW_COORDINATES at most) where a crash would be likelier than known ones. So
+# many, with CROWDED times what a lattice gives to each of the volume, would fill traffic up to
+# FILLED standard deviations.
 N_FIRST, N_DENSER_FIRST = 14, 21
-FILLED, TO_EACH = 4.0, 1.5 / N_DENSER_FIRST
+FILLED, CROWDED = 4.0, 1.5
 # In the last look: where crashes would be about as likely as known ones, beside those, and where
 # they would be likelier.
 N_ALIKE, N_BESIDE, N_DENSER = 4, 5, 6
@@ -90,9 +91,10 @@ def first_survey(
 ) -> Generator[Query, FloatArray, Labels]:
     """Look at the emptiest places before anything is estimated, unless `n_before` runs did."""
     x = emptiest(problem, labels, max(N_FIRST - n_before, 0), rng)
-    # a search may have filled that space before
-    least = FILLED * TO_EACH ** (1 / problem.traffic.n_variables)
-    x = np.concatenate([x, _denser(problem, labels, x, N_DENSER_FIRST, rng, least=least)])
+    d = problem.traffic.n_variables
+    n = N_DENSER_FIRST * min(d, FEW_COORDINATES)
+    least = FILLED * (CROWDED / max(n, 1)) ** (1 / d)  # a search may have filled that space before
+    x = np.concatenate([x, _denser(problem, labels, x, n, rng, least=least)])
     return (yield from ask(problem, labels, x))
 
 

@@ -43,6 +43,9 @@ RIPPLE, EDGE_DOUBT = 0.05, 0.01
 # a false order, is told in units of a broader measure: near the likely crashes they would be up to
 # three times as small, and the ACC+AEB vehicle lost its order over ripples after 990 runs.
 LEARN_DENSITY, BREADTH_DENSITY, LEARN_VARIANCE = 0.5, 0.2, 3.0
+# Without an order the surrogate alone says where the edge is, and takes too much beyond it for safe:
+# with runs in the middle of its doubt it grew slowly, and rounds began at 0.4 to 0.9 of a disc.
+LEARN_VARIANCE_ALONE = 1.0
 
 
 @dataclass(frozen=True)
@@ -173,6 +176,8 @@ class View:
         Of the event.
     aim : int or None
         The consequence that is aimed at; None for the event itself.
+    ordered : bool
+        Whether a risk order is in use.
     """
 
     pool: Pool
@@ -185,6 +190,7 @@ class View:
     failing: BoolArray
     consequences: tuple[Moments, ...] = ()
     aim: int | None = None
+    ordered: bool = True
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -240,19 +246,23 @@ class View:
 
     @cached_property
     def learning(self) -> FloatArray:
-        """Distribution over draws, ∝ √f (h (1-h))³ / q: where outcomes teach most."""
-        return self._doubtful(LEARN_DENSITY)
+        """Distribution over draws, ∝ √f (h (1-h))³ / q: where outcomes teach most.
+
+        Without an order ∝ √f h (1-h) / q.
+        """
+        variance = LEARN_VARIANCE if self.ordered else LEARN_VARIANCE_ALONE
+        return self._doubtful(LEARN_DENSITY, variance)
 
     @cached_property
     def breadth(self) -> FloatArray:
         """Distribution over draws, ∝ f^0.2 (h (1-h))³ / q: the edge as far as it is of interest."""
-        return self._doubtful(BREADTH_DENSITY)
+        return self._doubtful(BREADTH_DENSITY, LEARN_VARIANCE)
 
-    def _doubtful(self, power: float) -> FloatArray:
-        """Distribution over draws, ∝ f^power (h (1-h))³ / q."""
+    def _doubtful(self, power: float, variance: float) -> FloatArray:
+        """Distribution over draws, ∝ f^power (h (1-h))^variance / q."""
         doubt = np.where(self.failing, 0.0, np.maximum(self.h * (1 - self.h), 1e-300))
         with np.errstate(divide="ignore"):
-            doubt = LEARN_VARIANCE * np.log(doubt)
+            doubt = variance * np.log(doubt)
         log = power * self.pool.log_f + doubt - self.pool.log_q
         top = np.max(log)  # -inf where the simulator fails everywhere
         return normalised(np.exp(log - top) if np.isfinite(top) else np.zeros(len(log)))
@@ -289,7 +299,8 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     runs = standardise(labels.u)
     known = np.concatenate([runs[labels.known], surrogate.u])  # ordinary traffic taken as safe too
     failing = fails(known, runs[~labels.known], standardise(pool.u)) & ~(inner | outside)
-    return View(pool, h, raw, inner, outside, crash, safe, failing)
+    ordered = labels.learned is not None
+    return View(pool, h, raw, inner, outside, crash, safe, failing, ordered=ordered)
 
 
 def held(
