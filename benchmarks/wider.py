@@ -2,8 +2,9 @@
 
 Curved and concave sets (``outside a ball``, ``corner``, ``union``), a rough edge (``stairs``),
 a safe ``pocket``, thin sets (``strip``, ``ring``, ``stripes``, ``rare ring``), several regions
-(``three half-planes``), risk orders that fail in places or throughout (``holes``, ``wrong sign``),
-outcomes that are random, traffic that hardly reaches its box, and a vehicle that never crashes.
+(``three half-planes``), small ones in dense traffic (``dense disc``, ``dense ball``), risk orders
+that fail in places or throughout (``holes``, ``wrong sign``), outcomes that are random, traffic
+that hardly reaches its box, and a vehicle that never crashes.
 """
 
 import math
@@ -157,6 +158,25 @@ def rare_ring(share: float = 1e-3, away: float = -12.0) -> Benchmark:
     return Benchmark(traffic, None, crash, reference)
 
 
+def denser(d: int, away: float, radius: float, level: float = 4.2) -> Benchmark:
+    """A half-space, and on another side a ball where traffic is far denser; no order declared.
+
+    (The two lie on different sides: both at once is impossible.)
+    """
+    from scipy.special import ndtr
+    from scipy.stats import ncx2
+
+    middle, normal = np.zeros(d), np.zeros(d)
+    middle[0], normal[:2] = away, (-0.6, -0.8)
+
+    def crash(x: Rows) -> Outcomes:
+        inside = ((x - middle) ** 2).sum(axis=1) < radius**2
+        return np.asarray(inside | (x @ normal > level))
+
+    probability = float(ncx2.cdf(radius**2, d, away**2) + ndtr(-level))
+    return Benchmark(standard_normal(d), None, crash, probability)
+
+
 def holes(share: float, probability: float = 1e-5) -> Benchmark:
     """A half-plane of which cells of 0.05 standard deviations are safe, `share` of them at random.
 
@@ -247,6 +267,9 @@ WIDER: Mapping[str, Callable[[], Benchmark]] = {
     "ring": ring,
     "stripes": stripes,
     "rare ring": rare_ring,
+    "dense disc": lambda: denser(2, 2.8, 0.65),
+    "dense disc, small": lambda: denser(2, 3.0, 0.45),
+    "dense ball, d = 3": lambda: denser(3, 3.0, 0.9),
     "holes in 0.1 %": lambda: holes(0.001),
     "holes in 1 %": lambda: holes(0.01),
     "holes in 10 %": lambda: holes(0.1),

@@ -8,7 +8,7 @@ import pytest
 from crashrate.estimation.alarms import Alarm
 from crashrate.estimation.encounters import Encounters, interval
 from crashrate.estimation.exploration import inflated
-from crashrate.estimation.probing import farthest, reachable
+from crashrate.estimation.probing import reachable
 from crashrate.sampling.pool import draw_pool
 
 
@@ -34,18 +34,6 @@ def test_encounters_speak_against_an_estimate_far_below_them():
 def test_failed_encounters_may_have_been_safe():
     assert Encounters(10, 5).speak_against(0.1)
     assert not Encounters(10, 5, 20).speak_against(0.1)
-
-
-def test_the_farthest_keeps_off_what_is_out_of_the_question():
-    u = np.linspace(0.0, 4.0, 41)[:, None]
-    rows, beyond = np.arange(41), np.array([[-0.1], [4.1]])
-    assert farthest(u, u[:1], rows, 1).tolist() == [40]
-    found = farthest(u, np.array([[0.5]]), rows, 3, beyond)
-    assert u[found[0], 0] == pytest.approx(2.3)
-    gaps = np.diff(np.sort(np.concatenate([[-0.1, 0.5, 4.1], u[found, 0]])))
-    assert gaps.max() < 1.3
-    assert 0 < u[found].min()
-    assert u[found].max() < 4
 
 
 def test_interval_without_runs_is_everything():

@@ -39,22 +39,22 @@ def test_what_is_asked_for_without_an_order_alone_and_once():
     assert not replace(state_of(1.0, 2.0, 3.0, rounds=(object(),)), rounds=()).steady
 
 
-class FirstRound(Exception):
+class FirstRoundError(Exception):
     """A campaign begins to estimate."""
 
 
 def foreseen_by_first_rounds(cases, monkeypatch):
     """Shares of the probability that the pools of first rounds hold likely, one for each seed."""
 
-    def first(problem, state, view, *rest):
-        raise FirstRound(view.probability / P)
+    def first(*arguments):
+        raise FirstRoundError(arguments[2].probability / P)
 
     monkeypatch.setattr(sequential, "_estimate", first)
     return [foreseen(cases, seed) for seed in range(4)]
 
 
 def foreseen(cases, seed):
-    with pytest.raises(FirstRound) as begun:
+    with pytest.raises(FirstRoundError) as begun:
         cases.disc(P).estimate(seed, max_calls=900)
     return begun.value.args[0]
 

@@ -218,11 +218,11 @@ def _fill_space(
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
     for least, most, within in FILLING:
         rows = reachable(pool, least=least)
-        u, beyond = pool.u[rows], None
+        u, known = pool.u[rows], labels.u
         if within and u.shape[1] <= WITH_BORDER:
-            beyond = np.delete(pool.u, rows, axis=0)
+            known = np.concatenate([known, np.delete(pool.u, rows, axis=0)])
         # the places do not depend on outcomes, only how many of them are simulated
-        for row in rows[farthest(u, labels.u, np.arange(len(u)), most, beyond)]:
+        for row in rows[farthest(u, known, np.arange(len(u)), most)]:
             if (labels.y == 1).any() or labels.n >= problem.max_calls:
                 return labels
             labels = yield from ask(problem, labels, pool.x[row : row + 1])

@@ -88,23 +88,14 @@ def vouched_safe(problem: Problem, labels: Labels, pool: Pool, n: int) -> np.nda
     return np.asarray(rows[farthest(pool.u[rows], labels.u, safe, n)])
 
 
-def farthest(
-    u: FloatArray,
-    known: FloatArray,
-    rows: np.ndarray,
-    n: int,
-    beyond: FloatArray | None = None,
-) -> np.ndarray:
+def farthest(u: FloatArray, known: FloatArray, rows: np.ndarray, n: int) -> np.ndarray:
     """`n` of `rows`, each the farthest from the known points and those chosen before it.
 
     In units of the spread of all. The first, where nothing is known, is the farthest from the
-    center. None is nearer to the points `beyond`, which are out of the question, than it is to be
-    to others.
+    center.
     """
     scale = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
-    return farthest_as_scaled(
-        u / scale, known / scale, rows, n, beyond=None if beyond is None else beyond / scale
-    )
+    return farthest_as_scaled(u / scale, known / scale, rows, n)
 
 
 def farthest_as_scaled(
@@ -113,7 +104,6 @@ def farthest_as_scaled(
     rows: np.ndarray,
     n: int,
     worth: FloatArray | None = None,
-    beyond: FloatArray | None = None,
 ) -> np.ndarray:
     """The same for coordinates whose unit is that of distances, their squares times `worth`."""
     if not len(rows):
@@ -121,8 +111,6 @@ def farthest_as_scaled(
     z, chosen = z[rows], []
     worth = np.ones(len(rows)) if worth is None else worth[rows]
     near = known if len(known) else z.mean(axis=0)[None]
-    if beyond is not None:
-        near = np.concatenate([near, beyond])
     distance = cKDTree(near).query(z)[0] ** 2
     for _ in range(min(n, len(rows))):
         best = int((worth * distance).argmax())

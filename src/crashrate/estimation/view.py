@@ -43,8 +43,9 @@ RIPPLE, EDGE_DOUBT = 0.05, 0.01
 # a false order, is told in units of a broader measure: near the likely crashes they would be up to
 # three times as small, and the ACC+AEB vehicle lost its order over ripples after 990 runs.
 LEARN_DENSITY, BREADTH_DENSITY, LEARN_VARIANCE = 0.5, 0.2, 3.0
-# Without an order the surrogate alone says where the edge is, and takes too much beyond it for safe:
-# with runs in the middle of its doubt it grew slowly, and rounds began at 0.4 to 0.9 of a disc.
+# Without an order the surrogate alone says where the edge is, and takes too much beyond it for
+# safe: with runs in the middle of its doubt it grew slowly, and rounds began at 0.4 to 0.9 of a
+# disc.
 LEARN_VARIANCE_ALONE = 1.0
 
 
