@@ -159,6 +159,6 @@ def toy_view():
         h = np.where(inner, 1.0, np.where(safe, 0.0, surrogate_h))
         outcomes = (pool.x.sum(axis=1) > 2).astype(float)
         none = np.zeros(len(h), dtype=bool)
-        return View(pool, h, surrogate_h, inner, safe, inner, safe, none), outcomes
+        return View(pool, h, surrogate_h, inner, safe, inner, safe, none, ordered=True), outcomes
 
     return make

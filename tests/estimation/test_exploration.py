@@ -99,7 +99,7 @@ def test_without_an_order_a_small_disc_is_found_sooner_off_the_border(cases, dri
 
     monkeypatch.setattr(exploration, "N_WIDE", 20_000)
     off = runs()
-    monkeypatch.setattr(exploration, "WITH_BORDER", 0)
+    monkeypatch.setattr(exploration, "MAX_MESHED", 0)
     on = runs()
     assert off.mean() < on.mean() - 10
     assert (off < 200).sum() > (on < 200).sum()

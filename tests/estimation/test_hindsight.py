@@ -37,7 +37,7 @@ def seen(cases):
         proposal = Gaussians(np.ones(1), np.full((1, 2), 0.8), 2 * np.eye(2)[None])
         pool = draw_pool(proposal, cases.standard_normal(2), lambda x: x, n, rng)
         h, none = hold(pool.u), np.zeros(n, dtype=bool)
-        view = View(pool, h, h, none, none, none, none, none)
+        view = View(pool, h, h, none, none, none, none, none, ordered=True)
         return view, (pool.u.sum(axis=1) >= LEVEL).astype(float)
 
     return make
@@ -175,7 +175,9 @@ def rare(cases, rng, blind, n=4000):
     pool = draw_pool(proposal, cases.standard_normal(2), lambda x: x, n, rng)
     h, none = steep(pool.u), np.zeros(n, dtype=bool)
     h = np.where(pool.u[:, 0] < pool.u[:, 1] + blind, 1e-6 * h, h)
-    return View(pool, h, h, none, none, none, none, none), (pool.u.sum(1) >= RARE).astype(float)
+    return View(pool, h, h, none, none, none, none, none, ordered=True), (
+        pool.u.sum(1) >= RARE
+    ).astype(float)
 
 
 @pytest.mark.parametrize(

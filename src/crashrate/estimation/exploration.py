@@ -17,6 +17,7 @@ from crashrate.estimation.probing import (
     Asking,
     ask,
     farthest,
+    likeliest,
     probe,
     reachable,
 )
@@ -36,13 +37,16 @@ MAX_INFLATIONS = 8
 CHAIN_LEVELS = 64
 RUNS_PER_LINE = 4
 HALVINGS_PER_LINE = 12
-# Without an order: shares of traffic's probability that are left out, runs, and whether they keep
-# away from the border. The first few, far out, find what lies beyond a bound however rare it is;
-# small sets lie among what is less rare.
+# Without an order: shares of traffic's probability that are left out, runs, and whether they look
+# for small sets. The first few, far out, find what lies beyond a bound however rare it is; small
+# sets lie among what is less rare.
 FILLING = ((NEGLIGIBLE_MASS, 15, False), (1e-7, 135, True), (NEGLIGIBLE_MASS, 50, False))
-# A run on the border of what is reached sees half as much as one within. In more variables nearly
-# everything is near it, and corners, which are found beyond it, are what there is to find.
-WITH_BORDER = 2
+# In up to so many variables runs that look for small sets keep as far off what is left out as from
+# each other: on its border one sees half as much. And where a crash was found before there were so
+# many of them for each variable, the others follow where another would matter. In more variables
+# they would be too few; nearly everything is near the border then, and corners, which go on beyond
+# it, are what there is to find.
+MAX_MESHED, MESH = 2, 50
 MAX_SPREAD = 0.5  # standard deviation of an inflated component, in widths of the box
 MAX_ORDINARY = 50
 ORDINARY_CRASHES = 0.1  # expected crashes among the ordinary draws above which they are not safe
@@ -120,6 +124,9 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
         wide = inflated(problem.traffic, factors(INFLATION))
         before = labels.n
         labels = yield from _fill_space(problem, labels, wide, rng)
+        missing = MESH * labels.u.shape[1] - (labels.n - before)
+        if (labels.y == 1).any() and labels.u.shape[1] <= MAX_MESHED and missing > 0:
+            labels = yield from _mesh(problem, labels, wide, missing, rng)
         n_filling = labels.n - before
     if (labels.y == 1).any():
         labels = yield from _search_lines(problem, labels, ordinary[:n_lines])
@@ -216,10 +223,10 @@ def _fill_space(
     Mostly where events that are not the rarest would be: the space beyond is as large again.
     """
     pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
-    for least, most, within in FILLING:
+    for least, most, small in FILLING:
         rows = reachable(pool, least=least)
         u, known = pool.u[rows], labels.u
-        if within and u.shape[1] <= WITH_BORDER:
+        if small and u.shape[1] <= MAX_MESHED:
             known = np.concatenate([known, np.delete(pool.u, rows, axis=0)])
         # the places do not depend on outcomes, only how many of them are simulated
         for row in rows[farthest(u, known, np.arange(len(u)), most)]:
@@ -227,6 +234,17 @@ def _fill_space(
                 return labels
             labels = yield from ask(problem, labels, pool.x[row : row + 1])
     return labels
+
+
+def _mesh(
+    problem: Problem, labels: Labels, wide: Gaussians, n: int, rng: np.random.Generator
+) -> Asking:
+    """`n` more such draws, where another crash would matter beside the known ones."""
+    pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+    rows = reachable(pool, likeliest(problem, labels))
+    known = np.concatenate([labels.u, np.delete(pool.u, rows, axis=0)])
+    places = farthest(pool.u[rows], known, np.arange(len(rows)), n)
+    return (yield from ask(problem, labels, pool.x[rows[places]]))
 
 
 def _search_lines(problem: Problem, labels: Labels, ordinary: FloatArray) -> Asking:

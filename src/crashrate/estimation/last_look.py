@@ -71,6 +71,7 @@ def _survey(
         return replace(
             state,
             rounds=(),
+            foreseen=(),
             voided=state.rounds,
             voided_at=state.labels.n,
             n_directed=0,

@@ -31,12 +31,12 @@ from crashrate.estimation.labels import Labels
 from crashrate.estimation.last_look import SURVEYS, last_look, left_out, surveyed
 from crashrate.estimation.leaving_out import check_contradicted
 from crashrate.estimation.probing import ask, vouched_safe
+from crashrate.estimation.readiness import foreseeing, ready
 from crashrate.estimation.refutation import Verdict, verdict
 from crashrate.estimation.rounds import Round, measure
 from crashrate.estimation.selection import IntArray, aside, audit, to_estimate, to_learn
 from crashrate.estimation.sizing import (
     AUDIT_EVERY,
-    ROUND,
     audits_due,
     last,
     size,
@@ -52,7 +52,6 @@ from crashrate.variables import FloatArray
 # random streams beside those of the rounds
 ENCOUNTERS, MORE, FOLLOWING = 2_000_001, 3_000_000, 4_000_000
 N_LINES = 2  # two more than variables taught less of the edge than the rounds they would pay for
-START_CV = 0.35  # estimate as soon as one round of ten would have this coefficient of variation
 ASIDE_SHARE = 0.4  # of an estimating round, for learning and audits
 # Contradicted outcomes, and their share of all, at which an order that leaves something out goes:
 # a few low crashes may account for all of them.
@@ -201,9 +200,8 @@ def _round(
         proposal = _aim(problem, state, _see(problem, state, surrogate, proposal, rng), rng)
     view = _see(problem, state, surrogate, proposal, rng)
     wanted = towards(view, state.members)
-    state = state.foreseeing(view.probability)
-    unsure = wanted.spread.sum() > START_CV * np.sqrt(ROUND) * wanted.probability
-    learning = bool(unsure or not state.steady) and state.may_learn
+    state = foreseeing(state, wanted, view.probability)
+    learning = state.may_learn and not ready(problem, state)
     if learning:
         n = size_to_learn(problem, state)
         audits = _audits(problem, state, wanted, n, rng)
@@ -307,6 +305,7 @@ def _distrust(problem: Problem, state: State, view: View) -> State:
             voided=(),
             directed=found is not Verdict.FALSE,
             dropped_at=state.labels.n,
+            foreseen=(),
             surveyed_for=math.inf,
             surprised=False,
             model=state.model.forgetting(),

@@ -23,10 +23,6 @@ RELEARNING_RUNS = 100  # after an order was dropped, or a surprise voided what w
 # What was seen may narrow an interval; not without an order, which nothing could contradict, nor at
 # a rough edge: its draws have only not yet met the rare large contributions.
 MIN_DOUBTED = 1.0
-# Without an order a surrogate that is sure of itself may still grow to the size of the crash set,
-# and rounds that begin before are too low with it: the sums over so many pools agree first, up to
-# the factor.
-N_STEADY, STEADY = 3, 1.1
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,7 @@ class State:
     followed : tuple of int
         Rows of the labels beside which was looked, or that were asked for it.
     foreseen : tuple of float
-        The surrogate's sums over the latest pools.
+        The surrogate's sums over the latest pools, since one round would tell.
     """
 
     labels: Labels
@@ -115,17 +111,6 @@ class State:
             return self.n_directed <= LEARNING_ROUNDS
         anew = [at + RELEARNING_RUNS for at in (self.dropped_at, self.voided_at) if at is not None]
         return self.labels.n < max(LEARNING_RUNS, self.begun_at + LATE_RUNS, *anew)
-
-    @property
-    def steady(self) -> bool:
-        """Whether the surrogate has grown to the crash set, as far as is seen without an order."""
-        if self.ordered or self.rounds:
-            return True
-        return len(self.foreseen) == N_STEADY and max(self.foreseen) <= STEADY * min(self.foreseen)
-
-    def foreseeing(self, probability: float) -> Self:
-        """With the surrogate's sum over one pool more."""
-        return replace(self, foreseen=(*self.foreseen, probability)[-N_STEADY:])
 
     def fit(self) -> tuple[Surrogate, Model]:
         """The surrogate of all outcomes so far."""

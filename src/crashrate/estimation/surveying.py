@@ -38,10 +38,11 @@ from crashrate.estimation.view import normalised, see
 from crashrate.sampling.pool import draw_pool
 from crashrate.variables import FloatArray
 
-# Without an order, before anything is estimated: runs in the emptiest places, and for each variable
-# (as if there were FEW_COORDINATES at most) where a crash would be likelier than known ones. So
-# many, with CROWDED times what a lattice gives to each of the volume, would fill traffic up to
-# FILLED standard deviations.
+# Without an order, before anything is estimated: runs in the emptiest places, and where a crash
+# would be likelier than known ones, the latter for each of FEW_COORDINATES variables or fewer. (In
+# more there are too many such places: these are as many as in one.) They fill traffic up to FILLED
+# standard deviations if each has at most the share of its volume of CROWDED lattice points in so
+# many.
 N_FIRST, N_DENSER_FIRST = 14, 21
 FILLED, CROWDED = 4.0, 1.5
 # In the last look: where crashes would be about as likely as known ones, beside those, and where
@@ -92,7 +93,7 @@ def first_survey(
     """Look at the emptiest places before anything is estimated, unless `n_before` runs did."""
     x = emptiest(problem, labels, max(N_FIRST - n_before, 0), rng)
     d = problem.traffic.n_variables
-    n = N_DENSER_FIRST * min(d, FEW_COORDINATES)
+    n = N_DENSER_FIRST * (d if d <= FEW_COORDINATES else 1)
     least = FILLED * (CROWDED / max(n, 1)) ** (1 / d)  # a search may have filled that space before
     x = np.concatenate([x, _denser(problem, labels, x, n, rng, least=least)])
     return (yield from ask(problem, labels, x))

@@ -173,12 +173,12 @@ class View:
         Implied by outcomes that nothing contradicts, whatever the surrogate says: for the bounds.
     failing : ndarray of bool, shape (n,)
         Undecided, and the nearest runs all failed: more would tell nothing.
+    ordered : bool
+        Whether a risk order is in use.
     consequences : tuple of Moments
         Of the event.
     aim : int or None
         The consequence that is aimed at; None for the event itself.
-    ordered : bool
-        Whether a risk order is in use.
     """
 
     pool: Pool
@@ -189,9 +189,9 @@ class View:
     implied_inner: BoolArray
     implied_safe: BoolArray
     failing: BoolArray
+    ordered: bool
     consequences: tuple[Moments, ...] = ()
     aim: int | None = None
-    ordered: bool = True
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -256,7 +256,10 @@ class View:
 
     @cached_property
     def breadth(self) -> FloatArray:
-        """Distribution over draws, ∝ f^0.2 (h (1-h))³ / q: the edge as far as it is of interest."""
+        """Distribution over draws, ∝ f^0.2 (h (1-h))³ / q: the edge as far as it is of interest.
+
+        With or without an order.
+        """
         return self._doubtful(BREADTH_DENSITY, LEARN_VARIANCE)
 
     def _doubtful(self, power: float, variance: float) -> FloatArray:
@@ -301,7 +304,7 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     known = np.concatenate([runs[labels.known], surrogate.u])  # ordinary traffic taken as safe too
     failing = fails(known, runs[~labels.known], standardise(pool.u)) & ~(inner | outside)
     ordered = labels.learned is not None
-    return View(pool, h, raw, inner, outside, crash, safe, failing, ordered=ordered)
+    return View(pool, h, raw, inner, outside, crash, safe, failing, ordered)
 
 
 def held(
