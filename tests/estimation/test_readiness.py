@@ -41,10 +41,10 @@ def is_ready(cases):
 
 
 def test_sums_over_the_latest_pools_must_agree(is_ready):
-    assert not is_ready(state_of(1.0, 1.0))
-    assert is_ready(state_of(1.0, 1.04, 1.09))
-    assert not is_ready(state_of(1.0, 1.04, 1.11))
-    assert is_ready(state_of(5.0, 1.0, 1.0, 1.0))
+    assert not is_ready(state_of(1.0, 1.0, 1.0))
+    assert is_ready(state_of(1.0, 1.02, 1.04, 1.09))
+    assert not is_ready(state_of(1.0, 1.02, 1.04, 1.11))
+    assert is_ready(state_of(5.0, 1.0, 1.0, 1.0, 1.0))
 
 
 def test_of_two_pools_where_a_batch_lies_between_them(is_ready):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from crashrate.estimation import aiming, last_look, sequential, surveying
+from crashrate.estimation import aiming, exploration, last_look, sequential, surveying
 from crashrate.estimation.alarms import Alarm, StopReason
 from crashrate.estimation.campaign import Campaign
 from crashrate.estimation.probing import farthest_as_scaled
@@ -44,6 +44,7 @@ def test_both_sides_are_found(cases, check_coverage):
 def test_without_surveys_one_side_is_lost(cases, monkeypatch):
     for name in ("N_FIRST", "N_DENSER_FIRST", "N_ALIKE", "N_BESIDE", "N_DENSER"):
         monkeypatch.setattr(surveying, name, 0)
+    monkeypatch.setattr(exploration, "MESH", 0)
     ratios = [found(cases, seed).probability / P for seed in range(4)]
     assert min(ratios) < 0.7
 
@@ -52,6 +53,7 @@ def test_a_surprise_voids_what_was_estimated_and_a_clean_look_ends_it(cases, mon
     """The first survey left out: the look at the end has to find the other side."""
     monkeypatch.setattr(surveying, "N_FIRST", 0)
     monkeypatch.setattr(surveying, "N_DENSER_FIRST", 0)
+    monkeypatch.setattr(exploration, "MESH", 0)
     looks = []
     look = surveying.survey
 
@@ -176,9 +178,12 @@ def beyond(x):
 
 def looked_last(cases, risk, outcomes):
     """What a campaign believes, where it looks last, and what it makes of `outcomes` there."""
-    campaign = Campaign(cases.standard_normal(2), risk=risk, max_calls=120)
-    while not campaign.done:
-        campaign.tell(beyond(campaign.ask()))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exploration, "MESH", 0)
+        options = {"max_calls": 240, "relative_half_width": 0.01}
+        campaign = Campaign(cases.standard_normal(2), risk=risk, **options)
+        while not campaign.done:
+            campaign.tell(beyond(campaign.ask()))
     problem, belief = campaign.problem, campaign.snapshot.belief
     more = replace(problem, max_calls=1_000)
     look = surveying.survey(
@@ -296,6 +301,7 @@ def test_a_thin_ring_is_found_whole(cases, monkeypatch):
     assert got.interval[0] <= RING <= got.interval[1]
     monkeypatch.setattr(surveying, "N_ALIKE", 0)
     monkeypatch.setattr(surveying, "N_BESIDE", 0)
+    monkeypatch.setattr(exploration, "MESH", 0)
     assert found(cases, seed, ring, max_calls=800).interval[1] < 0.9 * RING
 
 
@@ -353,7 +359,7 @@ def unlucky(cases, n):
 
 def test_an_unlucky_encounter_is_outvoted_by_more_of_them(cases, check_coverage, monkeypatch):
     seeds = unlucky(cases, 4)
-    got = [found(cases, seed, rarely) for seed in seeds]
+    got = [found(cases, seed, rarely, max_calls=1500) for seed in seeds]
     assert all(g.stop_reason is StopReason.TARGET_MET for g in got)
     assert all(Alarm.ENCOUNTERS_DISAGREE not in g.alarms for g in got)
     check_coverage([g.interval for g in got], 2e-4)
