@@ -45,8 +45,9 @@ class Prior:
     linear, slope : float
         Of the plane; a positive slope says that danger grows with every coordinate.
     constant : float
-        Of the mean, in prior standard deviations: how far below the edge all is that no label tells
-        of, as surely far away, where a plane may be anything, as near by.
+        Of the mean, in prior standard deviations at each place. Negative, it keeps what no label
+        tells of below the edge, equally surely near by and far away, where the plane may be
+        anything.
     additive : bool
     """
 

@@ -14,7 +14,7 @@ START_CV = 0.35  # estimate as soon as one round of ten would have this coeffici
 # region that it knows, and rounds that begin before are too low with it. First the sums over so
 # many pools agree up to the factor; of two where a batch of runs lies between them. No more than
 # MOST are waited for: sums may also differ because little is known.
-AGREEING, STEADY, MOST = 4, 1.1, 12
+AGREEING, STEADY, MOST = 4, 1.1, 20
 
 
 def foreseeing(state: State, wanted: View, probability: float) -> State:
