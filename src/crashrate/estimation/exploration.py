@@ -123,10 +123,10 @@ def explore(problem: Problem, n_lines: int) -> Exploration:
     if not (labels.y == 1).any():
         wide = inflated(problem.traffic, factors(INFLATION))
         before = labels.n
-        labels = yield from _fill_space(problem, labels, wide, rng)
+        labels = yield from _fill_space(problem, labels, rng)
         missing = MESH * labels.u.shape[1] - (labels.n - before)
         if (labels.y == 1).any() and labels.u.shape[1] <= MAX_MESHED and missing > 0:
-            labels = yield from _mesh(problem, labels, wide, missing, rng)
+            labels = yield from _mesh(problem, labels, missing, rng)
         n_filling = labels.n - before
     if (labels.y == 1).any():
         labels = yield from _search_lines(problem, labels, ordinary[:n_lines])
@@ -215,19 +215,16 @@ def _descend(problem: Problem, labels: Labels, pool: Pool) -> Asking:
     return labels
 
 
-def _fill_space(
-    problem: Problem, labels: Labels, wide: Gaussians, rng: np.random.Generator
-) -> Asking:
+def _fill_space(problem: Problem, labels: Labels, rng: np.random.Generator) -> Asking:
     """Simulate the draw farthest from all simulated ones until one crashes.
 
     Mostly where events that are not the rarest would be: the space beyond is as large again.
     """
-    pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+    pool = wide_pool(problem, labels, rng)
     for least, most, small in FILLING:
         rows = reachable(pool, least=least)
-        u, known = pool.u[rows], labels.u
-        if small and u.shape[1] <= MAX_MESHED:
-            known = np.concatenate([known, np.delete(pool.u, rows, axis=0)])
+        u, meshed = pool.u[rows], small and pool.u.shape[1] <= MAX_MESHED
+        known = _and_beyond(labels, pool, rows) if meshed else labels.u
         # the places do not depend on outcomes, only how many of them are simulated
         for row in rows[farthest(u, known, np.arange(len(u)), most)]:
             if (labels.y == 1).any() or labels.n >= problem.max_calls:
@@ -236,15 +233,17 @@ def _fill_space(
     return labels
 
 
-def _mesh(
-    problem: Problem, labels: Labels, wide: Gaussians, n: int, rng: np.random.Generator
-) -> Asking:
+def _mesh(problem: Problem, labels: Labels, n: int, rng: np.random.Generator) -> Asking:
     """`n` more such draws, where another crash would matter beside the known ones."""
-    pool = draw_pool(wide, problem.traffic, labels.coordinates, N_WIDE, rng)
+    pool = wide_pool(problem, labels, rng)
     rows = reachable(pool, likeliest(problem, labels))
-    known = np.concatenate([labels.u, np.delete(pool.u, rows, axis=0)])
-    places = farthest(pool.u[rows], known, np.arange(len(rows)), n)
+    places = farthest(pool.u[rows], _and_beyond(labels, pool, rows), np.arange(len(rows)), n)
     return (yield from ask(problem, labels, pool.x[rows[places]]))
+
+
+def _and_beyond(labels: Labels, pool: Pool, rows: np.ndarray) -> FloatArray:
+    """Places (n, m) to keep off: the runs, and what of the pool is not among `rows`."""
+    return np.concatenate([labels.u, np.delete(pool.u, rows, axis=0)])
 
 
 def _search_lines(problem: Problem, labels: Labels, ordinary: FloatArray) -> Asking:

@@ -39,10 +39,10 @@ from crashrate.sampling.pool import draw_pool
 from crashrate.variables import FloatArray
 
 # Without an order, before anything is estimated: runs in the emptiest places, and where a crash
-# would be likelier than known ones, the latter for each of FEW_COORDINATES variables or fewer. (In
-# more there are too many such places: these are as many as in one.) They fill traffic up to FILLED
-# standard deviations if each has at most the share of its volume of CROWDED lattice points in so
-# many.
+# would be likelier than known ones: of these so many for each variable, and in more than
+# FEW_COORDINATES, where they would be too few anyway, as many as in one. No more of them once none
+# is farther from all runs than cells of traffic, up to FILLED standard deviations, are wide if
+# there is one for CROWDED places.
 N_FIRST, N_DENSER_FIRST = 14, 21
 FILLED, CROWDED = 4.0, 1.5
 # In the last look: where crashes would be about as likely as known ones, beside those, and where
