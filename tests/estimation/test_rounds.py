@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import stdtrit
+from scipy.stats import norm
 
 from crashrate.estimation.rounds import (
     DRAW_FREEDOM,
@@ -19,6 +20,9 @@ from crashrate.estimation.rounds import (
     predicted_variance,
 )
 from crashrate.estimation.selection import to_estimate
+from crashrate.estimation.view import View
+from crashrate.sampling.gaussians import Gaussians
+from crashrate.sampling.pool import draw_pool
 
 TIMES = 3000
 
@@ -70,6 +74,35 @@ def test_predicted_variance_is_seen_where_the_surrogate_is_right(toy_view):
     assert measure(view, drawn, outcomes[drawn.rows]).variance == pytest.approx(
         expected + view.pool_variance
     )
+
+
+def squares_and_errors(cases, hold, n=12, times=3000):
+    """What rounds' draws say of their variance, and what it is, where h is held by `hold`."""
+    rng = np.random.default_rng(6)
+    said, moved = [], []
+    proposal = Gaussians(np.ones(1), np.full((1, 2), 0.8), 2 * np.eye(2)[None])
+    pool = draw_pool(proposal, cases.standard_normal(2), lambda x: x, 1000, rng)
+    h, none = hold(pool.u[:, 0]), np.zeros(1000, dtype=bool)
+    view = View(pool, h, h, none, none, none, none, none, ordered=True)
+    crashes = (pool.u[:, 0] > 1).astype(float)
+    for _ in range(times):
+        drawn = to_estimate(view, n, rng)
+        found = measure(view, drawn, crashes[drawn.rows])
+        said.append(found.squares - view.pool_variance)
+        moved.append(found.estimate)
+    return np.mean(said), np.var(moved), predicted_variance(view, drawn.probabilities, n)
+
+
+def test_draws_of_a_surrogate_that_is_too_careful_say_so(cases):
+    """A smooth edge is where it is held to be: along h all outcomes are as the surrogate orders."""
+    said, true, predicted = squares_and_errors(cases, lambda u: norm.cdf(2 * (u - 1)))
+    assert true < said < 0.5 * predicted
+
+
+def test_draws_of_a_surrogate_that_is_too_sure_say_so(cases):
+    said, true, predicted = squares_and_errors(cases, lambda u: norm.cdf(12 * (u - 1.3)))
+    assert true > 3 * predicted
+    assert said == pytest.approx(true, rel=0.3)
 
 
 @pytest.mark.parametrize("n", [60, 1500])

@@ -139,36 +139,53 @@ def test_a_look_that_the_budget_cuts_short_does_not_count(cases, whole, missing)
     assert cut.interval == pytest.approx(whole.interval, rel=1e-2)
 
 
-def test_with_an_order_too_a_surprise_voids_what_was_estimated(cases, whole, monkeypatch):
-    """A look that meets a crash, once: the target has to be met anew, by new rounds."""
-    looks = []
+def surprising(times, looks):
+    """A look of which the first `times` are surprised; `looks` is told how many runs there were."""
 
-    def surprised(*arguments):
+    def survey(*arguments):
         look = yield from surveying.survey(*arguments)
         looks.append(look.labels.n)
-        return replace(look, surprised=look.surprised or len(looks) == 1)
+        return replace(look, surprised=look.surprised or len(looks) <= times)
 
-    monkeypatch.setattr(last_look, "survey", surprised)
+    return survey
+
+
+def test_with_an_order_rounds_survive_a_surprise_and_another_look_follows(
+    cases, whole, monkeypatch
+):
+    looks = []
+    monkeypatch.setattr(last_look, "survey", surprising(1, looks))
     got = ordered(cases, 0)
-    assert len(looks) >= 2
     assert looks[0] <= whole.n_calls
-    assert got.n_calls >= looks[0] + 30  # three rounds, at least
+    assert looks[0] + 10 <= looks[1]
     assert got.interval[0] <= ANY <= got.interval[1]
+    shaken = last_look._shaken
+    monkeypatch.setattr(last_look, "_shaken", lambda state: replace(shaken(state), rounds=()))
+    looks.clear()
+    assert ordered(cases, 0).n_calls > got.n_calls
+    assert looks[1] >= looks[0] + 30  # three rounds, at least
 
 
-def test_a_surprise_at_the_end_of_the_budget_leaves_a_first_idea(cases, whole, monkeypatch):
-    """The rounds are void, and nothing is left to estimate anew: they are better than nothing."""
-
-    def surprised(*arguments):
-        look = yield from surveying.survey(*arguments)
-        return replace(look, surprised=True)
-
-    monkeypatch.setattr(last_look, "survey", surprised)
+def test_with_an_order_a_surprise_at_the_end_of_the_budget_leaves_the_rounds(
+    cases, whole, monkeypatch
+):
+    monkeypatch.setattr(last_look, "survey", surprising(9, []))
     got = ordered(cases, 0, max_calls=whole.n_calls + 5)
     assert got.stop_reason is StopReason.BUDGET_ENDED
-    assert got.probability == pytest.approx(ANY, rel=0.3)
-    assert got.interval[0] <= got.bounds[0]
-    assert got.interval[1] == got.bounds[1] > whole.interval[1]
+    assert got.interval == pytest.approx(whole.interval, rel=0.05)
+    assert Alarm.OUTCOMES_UNFORESEEN in got.alarms
+
+
+def test_without_one_it_leaves_a_first_idea(cases, monkeypatch):
+    """The rounds are void, and nothing is left to estimate anew: they are better than nothing."""
+    whole = found(cases, 0)
+    assert whole.stop_reason is StopReason.TARGET_MET
+    monkeypatch.setattr(last_look, "survey", surprising(9, []))
+    got = found(cases, 0, max_calls=whole.n_calls + 5)
+    assert got.stop_reason is StopReason.BUDGET_ENDED
+    assert got.probability == pytest.approx(P, rel=0.3)
+    assert got.interval[0] == 0.0
+    assert got.interval[1] > 3 * whole.interval[1]
     assert {Alarm.OUTCOMES_UNFORESEEN, Alarm.UNSETTLED} <= set(got.alarms)
 
 

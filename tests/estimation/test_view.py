@@ -9,7 +9,7 @@ from crashrate.crash_set.order import RiskOrder
 from crashrate.crash_set.surrogate import Prior, fit_surrogate
 from crashrate.estimation.labels import Labels, n_to_discard
 from crashrate.estimation.strategy import Problem
-from crashrate.estimation.view import MIN_SCALE, Standardiser, normalised, see
+from crashrate.estimation.view import MIN_SCALE, ROUGH_POWER, Standardiser, normalised, see
 from crashrate.sampling.pool import draw_pool
 
 PRIOR = Prior(bump=0.5, length=2.0, variance=1e3, linear=1.0, slope=1.0, constant=0.0)
@@ -146,6 +146,28 @@ def test_distributions_over_draws(toy_view):
     expected = np.sqrt(view.h[1] / view.h[0]) * view.weights[1] / view.weights[0]
     assert ratio == pytest.approx(expected)
     assert normalised(np.zeros(4)).tolist() == [0.25] * 4
+
+
+def test_draws_are_flatter_at_a_rough_edge(toy_view):
+    view, _ = toy_view(np.random.default_rng(1))
+    assert np.array_equal(view.drawing, view.spread)
+    drawn = replace(view, rough=True).drawing
+    open_ = view.spread > 0
+    flattened = np.log(drawn[open_] / view.weights[open_])
+    assert flattened == pytest.approx(
+        ROUGH_POWER * np.log(view.spread[open_] / view.weights[open_])
+    )
+    assert not drawn[~open_].any()
+
+
+@pytest.mark.parametrize(
+    ("ordered", "outcomes", "expected"),
+    [(True, [1, 0], True), (True, [0, 1], False), (False, [1, 0], False)],
+)
+def test_an_edge_is_rough_where_outcomes_contradict_the_order(cases, ordered, outcomes, expected):
+    at = [[0.0, 0.0], [1.0, 1.0]]
+    case = cases.half_plane(0.2)
+    assert looked_at(case, labelled(case, at, outcomes, ordered=ordered)).rough == expected
 
 
 def test_contradicted_outcomes_are_presumed_where_no_other_says_the_opposite(cases):

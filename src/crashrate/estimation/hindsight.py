@@ -15,7 +15,7 @@ import numpy as np
 from crashrate.estimation.rounds import TINY, Round, at_least, predicted_variance
 from crashrate.estimation.selection import Drawn, IntArray, systematic
 from crashrate.estimation.view import View, normalised
-from crashrate.variables import FloatArray
+from crashrate.variables import BoolArray, FloatArray
 
 N_KEPT = 400  # rows of a round's pool that stand for all of it
 N_IN_ALL = 10_000  # of all rounds: where there are many, fewer of each are looked at
@@ -39,6 +39,8 @@ class Design:
         (w where it is drawn for sure).
     each : ndarray, shape (k,)
         Rows of the pool that one of these stands for.
+    negligible : ndarray of bool, shape (k,)
+        Left out of `drawing`, as long as no more is held of it.
     n_pool : int
         Draws of the pool.
     probability, drawing, of_pool : float
@@ -50,6 +52,7 @@ class Design:
     h: FloatArray
     move: FloatArray
     each: FloatArray
+    negligible: BoolArray
     n_pool: int
     probability: float
     drawing: float
@@ -57,7 +60,9 @@ class Design:
 
     def every(self, step: int) -> Self:
         """With one in `step` rows."""
-        kept = {k: getattr(self, k)[::step] for k in ("u", "weights", "h", "move", "each")}
+        kept = {
+            k: getattr(self, k)[::step] for k in ("u", "weights", "h", "move", "each", "negligible")
+        }
         return replace(self, **kept | {"each": step * kept["each"]})
 
     def now(self, h: FloatArray) -> tuple[float, float]:
@@ -66,6 +71,8 @@ class Design:
         probability = self._moved(self.probability, w * then, w * h)
         doubt = w * np.minimum(self.move, MOST * probability)
         before, after = doubt * then * (1 - then), doubt * (h * (1 - h) + (h - then) ** 2)
+        left_out = np.where(self.negligible, before, 0.0)
+        before, after = before - left_out, np.maximum(after - left_out, 0.0)
         drawing = self._moved(self.drawing, before, after)
         mean_square = (probability**2 - self.probability**2) / self.n_pool
         squares = self._moved(self.of_pool, (w * then) ** 2, (w * h) ** 2)
@@ -90,6 +97,7 @@ def design(view: View, drawn: Drawn) -> Design:
         h=view.h[kept],
         move=weights * drawn.mean_squares[kept],
         each=each,
+        negligible=view.negligible[kept],
         n_pool=view.pool.n_drawn,
         probability=view.probability,
         drawing=predicted_variance(view, drawn.probabilities, drawn.n),

@@ -53,7 +53,7 @@ def left_out(
 def _survey(
     problem: Problem, state: State, snapshot: Snapshot, surrogate: Surrogate, model: Model
 ) -> Generator[Query, FloatArray, State]:
-    """Look at places that no run came near; a surprise there voids what was estimated."""
+    """Look at places that no run came near; after a surprise there it is learned anew."""
     rng, target = problem.rng(SURVEYS + 1 + state.n_surveys), problem.target_at(state.labels.n)
     running = replace(snapshot, stop_reason=StopReason.RUNNING)
     belief = Belief(state.labels, surrogate, model.standardise, state.proposal)
@@ -68,16 +68,19 @@ def _survey(
     if ended or look.surprised:
         state = replace(state, surveyed_for=target if ended else math.inf)
     if look.surprised:
-        return replace(
-            state,
-            rounds=(),
-            foreseen=(),
-            voided=state.rounds,
-            voided_at=state.labels.n,
-            n_directed=0,
-            model=state.model.forgetting(),
-        )
-    return state.reconsidered(*state.fit()) if look.doubted else state
+        state = _shaken(state)
+    return state.reconsidered(*state.fit()) if look.surprised or look.doubted else state
+
+
+def _shaken(state: State) -> State:
+    """After a surprise: what was believed is learned anew.
+
+    With an order the rounds stay, for what they are worth by what is known then. Without one the
+    surrogate alone would say that, which has just been wrong: they are void.
+    """
+    model = state.model.forgetting()
+    state = replace(state, foreseen=(), shaken_at=state.labels.n, model=model)
+    return state if state.ordered else replace(state, rounds=(), voided=state.rounds, n_directed=0)
 
 
 def surveyed(problem: Problem, state: State) -> bool:

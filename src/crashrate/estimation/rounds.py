@@ -82,8 +82,8 @@ class Round:
     variance : float
         Of `estimate`, by what is known now: as predicted for the latest round.
     squares : float
-        Sum of the squared contributions of the runs, with the pool's part of `variance`: what was
-        predicted, as it came out.
+        Half the squared differences of contributions that follow one another along h, with the
+        pool's part of `variance`: what was predicted, as it came out.
     largest : float
         Largest contribution of a single run.
     members : Sums or None
@@ -116,7 +116,9 @@ class Round:
 def measure(view: View, drawn: Drawn, outcomes: FloatArray) -> Round:
     """The round in which `drawn` had `outcomes` (k,): 1, 0, or NaN for a failed simulation."""
     found = corrected(view, view.h, view.spread, drawn, outcomes)
-    return replace(found, hits=count(view, drawn, outcomes))
+    drawing = predicted_variance(view, drawn.probabilities, drawn.n)
+    variance = float(at_least(drawing + view.pool_variance, found.predicted))
+    return replace(found, variance=variance, hits=count(view, drawn, outcomes))
 
 
 def corrected(
@@ -149,10 +151,23 @@ def corrected(
         predicted=predicted,
         known=predicted,
         variance=float(at_least(drawing + of_pool, predicted)),
-        squares=float(moved @ moved) + of_pool,
+        squares=float(_squares(moved)) + of_pool,
         largest=float(np.abs(moved).max()),
         members=_under_members(view, held, spread, drawn, moved),
     )
+
+
+def _squares(moved: FloatArray) -> FloatArray:
+    """Variance of the sum of systematic draws' contributions (k, ...), as they lie along h.
+
+    By successive differences (Wolter 2007, ch. 8): systematic draws leave out what changes evenly
+    along h, and a surrogate that is too careful at a smooth edge lets them change so. Squares would
+    count it. The same in expectation for draws that are independent.
+    """
+    k = len(moved)
+    if k < 2:
+        return np.asarray((moved**2).sum(axis=0))
+    return np.asarray((np.diff(moved, axis=0) ** 2).sum(axis=0) / 2 * k / (k - 1))
 
 
 def at_least(variance: Values, predicted: Values) -> FloatArray:
@@ -174,7 +189,7 @@ def _under_members(
         estimates=predicted + moved @ drawn_ratios,
         predicted=predicted,
         variances=at_least(drawing + pool, predicted),
-        squares=moved**2 @ drawn_ratios**2 + pool,
+        squares=_squares(moved[:, None] * drawn_ratios) + pool,
     )
 
 
@@ -182,8 +197,9 @@ def predicted_variance(view: View, probabilities: FloatArray, n: int) -> float:
     """Variance of the correction if h is right: Σ w² h (1-h) / (n pr), and less of it than w² h.
 
     Beside the pool's: a row that is drawn for sure leaves the part of it that its outcome has.
+    Without what is negligible.
     """
-    return float(view.spread**2 @ mean_squares(n * probabilities))
+    return float(view.usual_spread**2 @ mean_squares(n * probabilities))
 
 
 @dataclass(frozen=True)
@@ -232,7 +248,7 @@ def combine(rounds: Sequence[Round], confidence: float, least: float = MIN_INFLA
     variance counts as it is.)
 
     The interval is Student's, with the predicted variance inflated by what was seen: the ratio of
-    the draws' squared contributions to the predicted ones and the Birge ratio (Birge 1932) of the
+    the draws' variance, as they came out, to the predicted one and the Birge ratio (Birge 1932) of the
     rounds' scatter to the predicted one, pooled by what each can tell, and shrunk towards 1.
     Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
     standard deviation), and too careful at a smooth edge. Rounds count by their part in the

@@ -139,7 +139,7 @@ def estimating(view: View) -> FloatArray:
         undecided = normalised(undecided) + normalised(view.alike * view.undecided)
     likely = np.where(view.inner, 1.0, view.surrogate_h)
     parts = (
-        (SPREAD, view.aimed_spread),
+        (SPREAD, view.drawing),
         (UNDECIDED_CRASH, view.weights * view.h * view.undecided),
         (UNDECIDED, undecided),
         (AUDIT, np.where(view.inner | view.safe, view.weights * likely, 0.0)),

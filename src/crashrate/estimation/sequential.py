@@ -247,6 +247,8 @@ def _see(
     coordinates = state.labels.coordinates
     pool = draw_pool(proposal, problem.traffic, coordinates, N_POOL, rng, ensemble=problem.ensemble)
     view = see(pool, state.labels, surrogate, state.model.standardise)
+    target = problem.target_at(state.labels.n)
+    view = replace(view, neglected=state.neglected(target))
     if not problem.consequences:
         return view
     found = expect(view, state.labels, surrogate, state.model.standardise)

@@ -19,10 +19,12 @@ from crashrate.variables import FloatArray
 # budget grows must go on as it was.)
 LEARNING_RUNS = 300
 LATE_RUNS = 200  # where the first crash came late: nothing was known of its region before
-RELEARNING_RUNS = 100  # after an order was dropped, or a surprise voided what was estimated
-# What was seen may narrow an interval; not without an order, which nothing could contradict, nor at
-# a rough edge: its draws have only not yet met the rare large contributions.
-MIN_DOUBTED = 1.0
+RELEARNING_RUNS = 100  # after an order was dropped, or a last look was surprised
+# What was seen may narrow an interval; not without an order, which nothing could contradict.
+MIN_UNORDERED = 1.0
+# The share of the estimate whose part in the variance is left out, over the target: a bias of a
+# tenth of a standard error in the campaigns, nearly all, that do not meet such a crash.
+NEGLECTED = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,10 +45,10 @@ class State:
         Ordinary traffic, simulated where no order is in use.
     directed : bool
         Whether danger grows along the coordinates, though outcomes may not imply one another.
-    dropped_at, voided_at : int or None
-        Simulator runs when the order was dropped, and when a surprise last voided the rounds.
+    dropped_at, shaken_at : int or None
+        Simulator runs when the order was dropped, and when a last look was last surprised.
     voided : tuple of Round
-        Those rounds: a first idea, where no others follow.
+        Those that a surprise voided: a first idea, where no others follow.
     begun_at : int
         Simulator runs before the first round.
     k : int
@@ -79,7 +81,7 @@ class State:
     encounters: Encounters | None = None
     directed: bool = True
     dropped_at: int | None = None
-    voided_at: int | None = None
+    shaken_at: int | None = None
     voided: tuple[Round, ...] = ()
     begun_at: int = 0
     k: int = 1
@@ -96,8 +98,14 @@ class State:
     @property
     def least_inflation(self) -> float:
         """Of the predicted variance: how far the interval may narrow with what was seen."""
-        doubted = not self.ordered or self.labels.contradictions > 0
-        return MIN_DOUBTED if doubted else MIN_INFLATION
+        return MIN_INFLATION if self.ordered else MIN_UNORDERED
+
+    def neglected(self, target: float) -> float:
+        """Share of the estimate that is left out of a round's variance, for a target.
+
+        Nothing without an order: the surrogate alone says there what is unlikely.
+        """
+        return NEGLECTED * target if self.ordered else 0.0
 
     @property
     def ordered(self) -> bool:
@@ -109,7 +117,7 @@ class State:
         """Whether runs may still go into learning alone."""
         if self.members:
             return self.n_directed <= LEARNING_ROUNDS
-        anew = [at + RELEARNING_RUNS for at in (self.dropped_at, self.voided_at) if at is not None]
+        anew = [at + RELEARNING_RUNS for at in (self.dropped_at, self.shaken_at) if at is not None]
         return self.labels.n < max(LEARNING_RUNS, self.begun_at + LATE_RUNS, *anew)
 
     def fit(self) -> tuple[Surrogate, Model]:

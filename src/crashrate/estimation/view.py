@@ -49,6 +49,12 @@ LEARN_DENSITY, BREADTH_DENSITY, LEARN_VARIANCE = 0.5, 0.2, 3.0
 LEARN_VARIANCE_ALONE = 1.0
 
 
+# Power of the standard deviation that draws follow where outcomes contradict the order: the
+# surrogate is too sure of itself there, by 1.3 to 1.4 in standard deviation, and what it held
+# hardly likely is what estimates miss.
+ROUGH_POWER = 0.9
+
+
 @dataclass(frozen=True)
 class Standardiser:
     """Shift and scale of the risk coordinates the surrogate sees.
@@ -179,6 +185,10 @@ class View:
         Of the event.
     aim : int or None
         The consequence that is aimed at; None for the event itself.
+    rough : bool
+        Whether outcomes contradict the order in use: at such an edge the surrogate is too sure.
+    neglected : float
+        Share of `probability` whose part in the variance of a round is left out.
     """
 
     pool: Pool
@@ -192,6 +202,8 @@ class View:
     ordered: bool
     consequences: tuple[Moments, ...] = ()
     aim: int | None = None
+    rough: bool = False
+    neglected: float = 0.0
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -208,6 +220,24 @@ class View:
         """Weight times standard deviation of the outcome: what a run at the draw can tell."""
         return np.where(self.failing, 0.0, self.weights * np.sqrt(self.h * (1 - self.h)))
 
+    @cached_property
+    def negligible(self) -> BoolArray:
+        """Draws of least `h` that together have no more than the share `neglected`.
+
+        Where a crash is that unlikely hardly any campaign meets one. Their part in the variance is
+        that of the rarest of estimates, far too high; nearly all are too low by their share.
+        """
+        rows = np.argsort(self.h, kind="stable")
+        mass = np.cumsum((self.weights * self.h)[rows])
+        found = np.empty(len(rows), dtype=np.bool_)
+        found[rows] = mass <= self.neglected * mass[-1]
+        return found
+
+    @cached_property
+    def usual_spread(self) -> FloatArray:
+        """The `spread` without what is negligible: what a usual round's error comes from."""
+        return np.where(self.negligible, 0.0, self.spread)
+
     @property
     def aimed_spread(self) -> FloatArray:
         """What a run at the draw can tell of the number that is aimed at."""
@@ -215,6 +245,13 @@ class View:
             return self.spread
         deviation = self.consequences[self.aim].deviation
         return np.where(self.failing, 0.0, self.weights * deviation)
+
+    @property
+    def drawing(self) -> FloatArray:
+        """What the draws that estimate are proportional to; flatter at a rough edge."""
+        if not self.rough:
+            return self.aimed_spread
+        return np.asarray(self.weights ** (1 - ROUGH_POWER) * self.aimed_spread**ROUGH_POWER)
 
     @cached_property
     def probability(self) -> float:
@@ -304,7 +341,8 @@ def see(pool: Pool, labels: Labels, surrogate: Surrogate, standardise: Standardi
     known = np.concatenate([runs[labels.known], surrogate.u])  # ordinary traffic taken as safe too
     failing = fails(known, runs[~labels.known], standardise(pool.u)) & ~(inner | outside)
     ordered = labels.learned is not None
-    return View(pool, h, raw, inner, outside, crash, safe, failing, ordered)
+    rough = ordered and labels.contradictions > 0
+    return View(pool, h, raw, inner, outside, crash, safe, failing, ordered, rough=rough)
 
 
 def held(
