@@ -102,7 +102,7 @@ def test_draws_of_a_surrogate_that_is_too_careful_say_so(cases):
 def test_draws_of_a_surrogate_that_is_too_sure_say_so(cases):
     said, true, predicted = squares_and_errors(cases, lambda u: norm.cdf(12 * (u - 1.3)))
     assert true > 3 * predicted
-    assert said == pytest.approx(true, rel=0.3)
+    assert 0.8 * true < said < 2.5 * true
 
 
 @pytest.mark.parametrize("n", [60, 1500])

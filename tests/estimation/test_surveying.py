@@ -157,27 +157,27 @@ def test_with_an_order_rounds_survive_a_surprise_and_another_look_follows(
     monkeypatch.setattr(last_look, "survey", surprising(1, looks))
     got = ordered(cases, 0)
     assert looks[0] <= whole.n_calls
-    assert looks[0] + 10 <= looks[1]
+    assert looks[1] >= looks[0] + 26  # three rounds, the last of which may be of six
     assert got.interval[0] <= ANY <= got.interval[1]
     shaken = last_look._shaken
     monkeypatch.setattr(last_look, "_shaken", lambda state: replace(shaken(state), rounds=()))
-    looks.clear()
     assert ordered(cases, 0).n_calls > got.n_calls
-    assert looks[1] >= looks[0] + 30  # three rounds, at least
 
 
-def test_with_an_order_a_surprise_at_the_end_of_the_budget_leaves_the_rounds(
-    cases, whole, monkeypatch
-):
-    monkeypatch.setattr(last_look, "survey", surprising(9, []))
+def test_a_surprise_at_the_end_of_the_budget_leaves_a_first_idea(cases, whole, monkeypatch):
+    """Nothing is left to estimate anew: the rounds before are better than nothing."""
+    monkeypatch.setattr(last_look, "survey", surprising(9, looks := []))
+    ordered(cases, 0)
+    looks.clear()
     got = ordered(cases, 0, max_calls=whole.n_calls + 5)
     assert got.stop_reason is StopReason.BUDGET_ENDED
-    assert got.interval == pytest.approx(whole.interval, rel=0.05)
-    assert Alarm.OUTCOMES_UNFORESEEN in got.alarms
+    assert got.probability == pytest.approx(ANY, rel=0.3)
+    assert got.interval[0] <= got.bounds[0]
+    assert got.interval[1] == got.bounds[1] > whole.interval[1]
+    assert {Alarm.OUTCOMES_UNFORESEEN, Alarm.UNSETTLED} <= set(got.alarms)
 
 
-def test_without_one_it_leaves_a_first_idea(cases, monkeypatch):
-    """The rounds are void, and nothing is left to estimate anew: they are better than nothing."""
+def test_without_an_order_it_does_too(cases, monkeypatch):
     whole = found(cases, 0)
     assert whole.stop_reason is StopReason.TARGET_MET
     monkeypatch.setattr(last_look, "survey", surprising(9, []))

@@ -76,7 +76,7 @@ def _with_failing(c: Combined, view: View) -> tuple[float, float]:
 
 
 def first_idea(problem: Problem, state: State, view: View) -> Snapshot:
-    """What rounds say that a surprise voided, where the budget left none to follow them.
+    """What rounds say before a surprise, where the budget left none to follow them.
 
     Their estimate is wrong by an amount that nobody knows: the interval is what the order and
     random encounters leave. Nothing is said where these exclude it.
@@ -123,7 +123,7 @@ def _consequences(
 
 def _stop(problem: Problem, state: State, c: Combined, event: tuple[float, float]) -> StopReason:
     aimed = _target(problem, state, c, event)
-    if c.n_rounds >= MIN_ROUNDS and narrow(problem, state, *aimed):
+    if min(c.n_rounds, state.n_since) >= MIN_ROUNDS and narrow(problem, state, *aimed):
         return StopReason.TARGET_MET
     return StopReason.RUNNING
 

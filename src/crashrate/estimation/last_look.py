@@ -78,9 +78,9 @@ def _shaken(state: State) -> State:
     With an order the rounds stay, for what they are worth by what is known then. Without one the
     surrogate alone would say that, which has just been wrong: they are void.
     """
-    model = state.model.forgetting()
-    state = replace(state, foreseen=(), shaken_at=state.labels.n, model=model)
-    return state if state.ordered else replace(state, rounds=(), voided=state.rounds, n_directed=0)
+    model, n = state.model.forgetting(), state.labels.n
+    state = replace(state, foreseen=(), shaken=state.rounds, shaken_at=n, model=model)
+    return state if state.ordered else replace(state, rounds=(), n_directed=0)
 
 
 def surveyed(problem: Problem, state: State) -> bool:

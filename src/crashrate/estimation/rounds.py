@@ -160,14 +160,13 @@ def corrected(
 def _squares(moved: FloatArray) -> FloatArray:
     """Variance of the sum of systematic draws' contributions (k, ...), as they lie along h.
 
-    By successive differences (Wolter 2007, ch. 8): systematic draws leave out what changes evenly
-    along h, and a surrogate that is too careful at a smooth edge lets them change so. Squares would
-    count it. The same in expectation for draws that are independent.
+    By successive differences (Wolter 2007, ch. 8), and the ends in full, for a surprising hit is
+    the first of them: Σ (m_i - m_(i-1))² / 2 with nothing before and after. The same in expectation
+    as squares where contributions are independent and of mean zero; but systematic draws leave out
+    what changes evenly along h, as it does where a surrogate is too careful at a smooth edge.
     """
-    k = len(moved)
-    if k < 2:
-        return np.asarray((moved**2).sum(axis=0))
-    return np.asarray((np.diff(moved, axis=0) ** 2).sum(axis=0) / 2 * k / (k - 1))
+    none = np.zeros((1, *moved.shape[1:]))
+    return np.asarray((np.diff(moved, axis=0, prepend=none, append=none) ** 2).sum(axis=0) / 2)
 
 
 def at_least(variance: Values, predicted: Values) -> FloatArray:

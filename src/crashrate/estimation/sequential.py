@@ -154,9 +154,9 @@ def _last_word(problem: Problem, state: State, view: View | None, snapshot: Snap
         # what was held of the last pool before may have been the mistake
         view = _again(state, view, surrogate, model)
         snapshot = answer(problem, state.reconsidered(surrogate, model), view)
-        if state.voided and not state.rounds:
-            voided = replace(state, rounds=state.voided)
-            snapshot = first_idea(problem, voided.reconsidered(surrogate, model), view)
+        if state.shaken and not state.n_since:
+            shaken = replace(state, rounds=state.shaken)
+            snapshot = first_idea(problem, shaken.reconsidered(surrogate, model), view)
     snapshot = _bounded(problem, state, snapshot)
     if snapshot.stop_reason is StopReason.TARGET_MET:
         snapshot = replace(snapshot, alarms=(*snapshot.alarms, Alarm.TARGET_UNCHECKED))
@@ -304,7 +304,7 @@ def _distrust(problem: Problem, state: State, view: View) -> State:
             state,
             labels=state.labels.without_order(),
             rounds=(),
-            voided=(),
+            shaken=(),
             directed=found is not Verdict.FALSE,
             dropped_at=state.labels.n,
             foreseen=(),

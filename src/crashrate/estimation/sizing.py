@@ -58,7 +58,7 @@ def last(problem: Problem, state: State, view: View) -> int | None:
     number follows from the past and the pool: the round stays unbiased.
     """
     aside = state.members or problem.aim_index is not None
-    if aside or len(state.rounds) < MIN_ROUNDS - 1:
+    if aside or state.n_since < MIN_ROUNDS - 1:
         return None
     per_draw, of_pool = predicted_variance(view, estimating(view), 1), view.pool_variance
     so_far = combine(state.rounds, problem.confidence, state.least_inflation)

@@ -47,8 +47,8 @@ class State:
         Whether danger grows along the coordinates, though outcomes may not imply one another.
     dropped_at, shaken_at : int or None
         Simulator runs when the order was dropped, and when a last look was last surprised.
-    voided : tuple of Round
-        Those that a surprise voided: a first idea, where no others follow.
+    shaken : tuple of Round
+        Those before that: a first idea, where no others follow.
     begun_at : int
         Simulator runs before the first round.
     k : int
@@ -82,7 +82,7 @@ class State:
     directed: bool = True
     dropped_at: int | None = None
     shaken_at: int | None = None
-    voided: tuple[Round, ...] = ()
+    shaken: tuple[Round, ...] = ()
     begun_at: int = 0
     k: int = 1
     learning: bool = True
@@ -106,6 +106,12 @@ class State:
         Nothing without an order: the surrogate alone says there what is unlikely.
         """
         return NEGLECTED * target if self.ordered else 0.0
+
+    @property
+    def n_since(self) -> int:
+        """Rounds since a last look was surprised, or since the first."""
+        kept = len(self.shaken) if self.ordered else 0
+        return len(self.rounds) - kept
 
     @property
     def ordered(self) -> bool:
