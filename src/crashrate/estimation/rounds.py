@@ -247,8 +247,8 @@ def combine(rounds: Sequence[Round], confidence: float, least: float = MIN_INFLA
     variance counts as it is.)
 
     The interval is Student's, with the predicted variance inflated by what was seen: the ratio of
-    the draws' variance, as they came out, to the predicted one and the Birge ratio (Birge 1932) of the
-    rounds' scatter to the predicted one, pooled by what each can tell, and shrunk towards 1.
+    the draws' variance, as they came out, to the predicted one and the Birge ratio (Birge 1932) of
+    the rounds' scatter to the predicted one, pooled by what each can tell, and shrunk towards 1.
     Predictions alone are over-confident where the surrogate is (on the ACC+AEB plant by 1.3 in
     standard deviation), and too careful at a smooth edge. Rounds count by their part in the
     variance of the whole: what an early surrogate got wrong says little of a late one. Scatter
