@@ -159,16 +159,15 @@ def test_with_an_order_rounds_survive_a_surprise_and_another_look_follows(
     assert looks[0] <= whole.n_calls
     assert looks[1] >= looks[0] + 26  # three rounds, the last of which may be of six
     assert got.interval[0] <= ANY <= got.interval[1]
+    void, looks[:] = partial(replace, rounds=(), shaken=()), []
     shaken = last_look._shaken
-    monkeypatch.setattr(last_look, "_shaken", lambda state: replace(shaken(state), rounds=()))
+    monkeypatch.setattr(last_look, "_shaken", lambda state: void(shaken(state)))
     assert ordered(cases, 0).n_calls > got.n_calls
 
 
 def test_a_surprise_at_the_end_of_the_budget_leaves_a_first_idea(cases, whole, monkeypatch):
     """Nothing is left to estimate anew: the rounds before are better than nothing."""
-    monkeypatch.setattr(last_look, "survey", surprising(9, looks := []))
-    ordered(cases, 0)
-    looks.clear()
+    monkeypatch.setattr(last_look, "survey", surprising(9, []))
     got = ordered(cases, 0, max_calls=whole.n_calls + 5)
     assert got.stop_reason is StopReason.BUDGET_ENDED
     assert got.probability == pytest.approx(ANY, rel=0.3)

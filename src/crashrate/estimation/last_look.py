@@ -69,7 +69,8 @@ def _survey(
         state = replace(state, surveyed_for=target if ended else math.inf)
     if look.surprised:
         state = _shaken(state)
-    return state.reconsidered(*state.fit()) if look.surprised or look.doubted else state
+    doubted = state.rounds and (look.surprised or look.doubted)
+    return state.reconsidered(*state.fit()) if doubted else state
 
 
 def _shaken(state: State) -> State:

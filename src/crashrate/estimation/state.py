@@ -48,7 +48,7 @@ class State:
     dropped_at, shaken_at : int or None
         Simulator runs when the order was dropped, and when a last look was last surprised.
     shaken : tuple of Round
-        Those before that: a first idea, where no others follow.
+        Rounds before that look: a first idea, where no others follow.
     begun_at : int
         Simulator runs before the first round.
     k : int
@@ -109,7 +109,7 @@ class State:
 
     @property
     def n_since(self) -> int:
-        """Rounds since a last look was surprised, or since the first."""
+        """Rounds since a last look was surprised; all where none was."""
         kept = len(self.shaken) if self.ordered else 0
         return len(self.rounds) - kept
 

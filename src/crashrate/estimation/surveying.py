@@ -74,7 +74,7 @@ class Look:
     ----------
     labels : Labels
     surprised : bool
-        A crash where none was believed, or none where one was sure: what was estimated is void.
+        A crash where none was believed, or none where one was sure: it has to be learned anew.
     doubted : bool
         No crash where one was likely: the rounds are to be weighed anew.
     whole : bool

@@ -47,8 +47,6 @@ LEARN_DENSITY, BREADTH_DENSITY, LEARN_VARIANCE = 0.5, 0.2, 3.0
 # safe: with runs in the middle of its doubt it grew slowly, and rounds began at 0.4 to 0.9 of a
 # disc.
 LEARN_VARIANCE_ALONE = 1.0
-
-
 # Power of the standard deviation that draws follow where outcomes contradict the order: the
 # surrogate is too sure of itself there, by 1.3 to 1.4 in standard deviation, and what it held
 # hardly likely is what estimates miss.
